@@ -1,0 +1,146 @@
+"""A cache on disk of what takes long to make: dicts of arrays, found again by a hash of everything they depend on.
+
+A file is a magic line, the sha256 of the rest, and the rest: the length of a JSON header, the header (name, type and shape
+of each array) and the arrays' bytes, True and False packed eight to a byte, all compressed. A file that does not fit its
+checksum is made again. Nothing in a file is ever executed.
+"""
+
+import errno
+import hashlib
+import json
+import logging
+import os
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import Any
+
+import numpy as np
+
+from imagination.errors import UserError
+
+log = logging.getLogger(__name__)
+
+Arrays = dict[str, np.ndarray]
+
+MAGIC = b"imagination cache 1\n"
+VERSIONS: Mapping[str, int] = {}
+"""Version of the code that makes each kind of entry (1 if not listed); raise it when the same key would give other arrays."""
+
+DIGEST = hashlib.sha256().digest_size
+
+
+@dataclass(frozen=True)
+class Cache:
+    """Entries in a folder; any number of processes may use it at once.
+
+    Attributes:
+        folder: made when the first entry is stored.
+    """
+
+    folder: str | Path
+
+    def get_or_build(self, kind: str, key: Mapping[str, Any], build: Callable[[], Arrays]) -> Arrays:
+        """The entry of a key, made and stored if it is missing or damaged.
+
+        Args:
+            kind: of entry, names the subfolder.
+            key: everything the entry depends on, as plain values: numbers, strings, lists, dicts, None.
+            build: makes the arrays; two processes that miss at once both do, and store the same.
+
+        Raises:
+            UserError: if the disk is full or the folder cannot be written.
+        """
+        arrays = self.load(kind, key)
+        if arrays is None:
+            arrays = build()
+            self.store(kind, key, arrays)
+        return arrays
+
+    def load(self, kind: str, key: Mapping[str, Any]) -> Arrays | None:
+        """The entry of a key, None if there is none; a damaged one is reported and counts as none.
+
+        Raises:
+            UserError: if the file is there and cannot be read.
+        """
+        path = self.path(kind, key)
+        try:
+            return _decode(path.read_bytes())
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise UserError(f"cache: cannot read {path}: {error.strerror}; remove it or set paths.cache anew") from error
+        except _DamagedError:
+            log.warning("cache: %s is damaged (its checksum does not fit); it is made again", path)
+            return None
+
+    def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+        """Store an entry; readers see the old one or the new one, never a part.
+
+        Raises:
+            UserError: if the disk is full or the folder cannot be written.
+        """
+        path = self.path(kind, key)
+        content = _encode(arrays)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _write(path, content)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT):
+                advice = "the disk is full; free some space, or set paths.cache to a folder elsewhere"
+            else:
+                advice = f"{error.strerror}; set paths.cache to a folder that can be written"
+            raise UserError(f"cache: cannot write {len(content)} bytes to {path}: {advice}") from error
+
+    def path(self, kind: str, key: Mapping[str, Any]) -> Path:
+        """File of the entry, whether it exists or not."""
+        whole = {"version": VERSIONS.get(kind, 1), "key": key}
+        text = json.dumps(whole, sort_keys=True, separators=(",", ":"), allow_nan=True)
+        return Path(self.folder) / kind / f"{hashlib.sha256(text.encode()).hexdigest()}.bin"
+
+
+class _DamagedError(Exception):
+    """A file that is not what was stored."""
+
+
+def _write(path: Path, content: bytes) -> None:
+    with NamedTemporaryFile(dir=path.parent, prefix=".", suffix=".part", delete=False) as file:
+        try:
+            file.write(content)
+            file.flush()
+            os.replace(file.name, path)
+        except BaseException:  # an interrupt as well: nothing half-written stays behind
+            os.unlink(file.name)
+            raise
+
+
+def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
+    header, parts = [], []
+    for name, array in arrays.items():
+        header.append({"name": name, "type": array.dtype.str, "shape": array.shape})
+        parts.append((np.packbits(array) if array.dtype == bool else np.ascontiguousarray(array)).tobytes())
+    text = json.dumps(header).encode()
+    body = zlib.compress(b"".join([len(text).to_bytes(4, "big"), text, *parts]), level=1)
+    return b"".join([MAGIC, hashlib.sha256(body).digest(), body])
+
+
+def _decode(content: bytes) -> Arrays:
+    start = len(MAGIC) + DIGEST
+    body = content[start:]
+    if content[: len(MAGIC)] != MAGIC or content[len(MAGIC) : start] != hashlib.sha256(body).digest():
+        raise _DamagedError
+    data = zlib.decompress(body)
+    place = 4 + int.from_bytes(data[:4], "big")
+    arrays = {}
+    for entry in json.loads(data[4:place]):
+        kind, shape = np.dtype(entry["type"]), tuple(entry["shape"])
+        count = prod(shape)
+        size = -(-count // 8) if kind == bool else count * kind.itemsize
+        raw = np.frombuffer(data, np.uint8, size, place)
+        flat = np.unpackbits(raw, count=count).view(bool) if kind == bool else raw.copy().view(kind)
+        arrays[entry["name"]] = flat.reshape(shape)
+        place += size
+    return arrays

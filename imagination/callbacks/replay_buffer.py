@@ -1,0 +1,88 @@
+"""The replay buffer as a callback: collects before each round and hands the round's batches to training."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from lightning import Callback, LightningModule, Trainer
+
+from imagination.data.batches import Batch
+from imagination.data.datamodule import SceneData
+from imagination.data.replay_buffer import ReplayBuffer
+from imagination.errors import UserError, check_range
+from imagination.progress import progress
+from imagination.views.collector import Collector, Stream, Views
+
+
+class ReplayBufferCallback(Callback):
+    """One epoch is one round: collect `update_interval` steps, then train on `update_batches` batches from the buffer.
+
+    Collecting runs one round ahead of training in the workers. Which views and batches a round gets depends on the seed and
+    the round alone: the epoch in a checkpoint is the collector's position, and nothing else has to be saved.
+
+    Args:
+        size: views that the buffer keeps.
+        update_interval: collection steps (one look in each parallel scene) in a round.
+        update_batches: batches trained on in a round.
+        aggregation_factor: share of a batch from older views, the rest from the newest collection.
+        prefill_steps: collection steps before the first round, a multiple of `update_interval`.
+    """
+
+    def __init__(
+        self, size: int, update_interval: int, update_batches: int, aggregation_factor: float, prefill_steps: int
+    ) -> None:
+        self.buffer = ReplayBuffer(size, aggregation_factor)
+        self.update_interval = int(check_range("update_interval", update_interval, 1, 10_000, "collection steps"))
+        self.update_batches = int(check_range("update_batches", update_batches, 1, 100_000, "batches"))
+        if prefill_steps < 0 or prefill_steps % self.update_interval:
+            raise UserError(
+                f"prefill_steps: got {prefill_steps}, expected a multiple of update_interval = {self.update_interval}"
+            )
+        self.prefill = prefill_steps // self.update_interval
+        self._resident = 0  # collections that this process has inserted or passed over as too old
+        self._started: dict[int, Callable[[], Views]] = {}
+
+    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
+        data.rounds = _Rounds(self, data, trainer)
+
+    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
+        collector = data.collector(self.update_interval)
+        newest = self.prefill + trainer.current_epoch
+        self._fill(collector, newest, 2 * max(1, data.workers))
+        if trainer.current_epoch + 1 < (trainer.max_epochs or 0):
+            self._start(collector, newest + 1)  # renders while this round trains
+        collected = (newest + 1) * collector.views_per_collection
+        pl_module.log("data/collected_views", float(collected))
+        pl_module.log("data/draws_per_view", self.update_batches * data.batch_size * (trainer.current_epoch + 1) / collected)
+
+    def _fill(self, collector: Collector, newest: int, ahead: int) -> None:
+        """Insert every collection up to `newest` that still has a place in the buffer."""
+        kept = -(-self.buffer.size // collector.views_per_collection)
+        wanted = range(max(self._resident, newest + 1 - kept), newest + 1)
+        shown = progress(wanted, "collecting views") if len(wanted) > 1 else wanted
+        for index in shown:
+            for later in range(index, min(index + ahead, newest + 1)):
+                self._start(collector, later)
+            self.buffer.insert(self._started.pop(index)())
+        self._resident = newest + 1
+
+    def _start(self, collector: Collector, index: int) -> None:
+        if index not in self._started:
+            self._started[index] = collector.start(index)
+
+
+class _Rounds:
+    """What training iterates over: the batches of the current round, drawn in the main process when they are asked for."""
+
+    def __init__(self, callback: ReplayBufferCallback, data: SceneData, trainer: Trainer) -> None:
+        self.callback, self.data, self.trainer = callback, data, trainer
+
+    def __len__(self) -> int:
+        return self.callback.update_batches
+
+    def __iter__(self) -> Iterator[Batch]:
+        for number in range(len(self)):
+            seed = [self.data.seed, Stream.BATCHES, self.trainer.current_epoch, number]
+            views = self.callback.buffer.draw(self.data.batch_size, np.random.default_rng(seed))
+            yield self.data.assemble(views)

@@ -1,0 +1,171 @@
+"""Checkpoints: what a run's file holds besides weights, and how it becomes a model again.
+
+A checkpoint carries the groups chosen and plain values, never a `_target_`: what is built comes from the installed conf and
+plugins, so that a stranger's file cannot name code to run.
+"""
+
+import pickle
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import torch
+from hydra.utils import instantiate
+from lightning import Callback, LightningModule, Trainer
+from lightning.pytorch.plugins.io import TorchCheckpointIO
+from omegaconf import DictConfig, OmegaConf
+
+from imagination.config import compose
+from imagination.errors import UserError
+from imagination.runs import replacing
+
+KEY = "imagination"
+"""Our entry in the dictionary that Lightning saves."""
+
+GROUP_CHOICE = re.compile(r"[+~]?[A-Za-z]\w*(/\w+)*(@[\w.]+)?(=(\w[\w/-]*|\[[\w,/-]*\]|null))?")
+"""The choice of a group's option as on a command line, e.g. "model/encoder=timm"; no path that leaves the conf tree."""
+
+
+class ConfigInCheckpoint(Callback):
+    """Puts the run's choices and plain values into each of its checkpoints."""
+
+    def __init__(self, config: DictConfig) -> None:
+        values = _plain(OmegaConf.to_container(config, resolve=True))
+        self.description = {"choices": values.pop("choices"), "values": values}
+
+    def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
+        checkpoint[KEY] = self.description
+
+
+class CheckpointFiles(TorchCheckpointIO):
+    """Writes each checkpoint whole or not at all, and reads them as data only."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
+        with replacing(Path(path)) as temporary:
+            torch.save(checkpoint, temporary)
+
+    def load_checkpoint(
+        self, path: Any, map_location: Any = "cpu", weights_only: bool | None = True
+    ) -> dict[str, Any]:
+        return read_state(Path(path), map_location)
+
+
+def read_state(path: Path, map_location: Any = "cpu") -> dict[str, Any]:
+    """The dictionary in a checkpoint file.
+
+    Raises:
+        UserError: if there is no such file, it is damaged, or it was not written by this program.
+    """
+    try:
+        state = torch.load(path, map_location=map_location, weights_only=True)
+    except FileNotFoundError as error:
+        raise UserError(f"checkpoint: got {path}, but there is no such file") from error
+    except (RuntimeError, EOFError, OSError, ValueError, KeyError, pickle.UnpicklingError) as error:
+        raise UserError(
+            f"checkpoint {path}: cannot be read, it is truncated or holds more than plain data; use another one "
+            "(each run keeps checkpoints/last.ckpt and checkpoints/best.ckpt)"
+        ) from error
+    if not isinstance(state, dict) or KEY not in state or "state_dict" not in state:
+        raise UserError(f"checkpoint {path}: was not written by imagination.train; expected a file of checkpoints/")
+    return state
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint that was read.
+
+    Attributes:
+        path: of its file.
+        state: what Lightning saved, our description included.
+    """
+
+    path: Path
+    state: Mapping[str, Any]
+
+    @classmethod
+    def read(cls, path: str | Path) -> "Checkpoint":
+        """Read a file.
+
+        Raises:
+            UserError: see `read_state`.
+        """
+        return cls(Path(path), read_state(Path(path)))
+
+    @cached_property
+    def config(self) -> DictConfig:
+        """The run's config: targets from the installed conf and plugins, plain values from the checkpoint.
+
+        Raises:
+            UserError: if the description holds anything but choices and plain values.
+        """
+        choices, values = self.state[KEY]["choices"], self.state[KEY]["values"]
+        for text in [*choices, *_texts(values)]:
+            if "${" in text or "_target_" in text:
+                raise UserError(f"checkpoint {self.path}: holds {text!r}; expected plain values, do not use this file")
+        for text in choices:
+            if not GROUP_CHOICE.fullmatch(text):
+                raise UserError(f"checkpoint {self.path}: holds {text!r}, expected a group's option; do not use this file")
+        composed = compose("train", [*choices, "paths.run=."])
+        return OmegaConf.create(_with_values(OmegaConf.to_container(composed, resolve=True), values))
+
+    def require(self, categories: list[str], resolution: float) -> None:
+        """Check that the checkpoint is of a unit for these categories and cells of this size.
+
+        Raises:
+            UserError: if it is not.
+        """
+        values = self.state[KEY]["values"]
+        has = list(values["unit_categories"]), float(values["scale"]["resolution"])
+        if has != (list(categories), float(resolution)):
+            raise UserError(
+                f"checkpoint {self.path}: is of {', '.join(has[0])} at {has[1]} m a cell, but the evaluation asks for "
+                f"{', '.join(categories)} at {resolution} m; choose another checkpoint or the same experiment and scale"
+            )
+
+    def model(self) -> LightningModule:
+        """The trained LightningModule, in evaluation mode on the CPU.
+
+        Raises:
+            UserError: if the weights do not fit the model that the installed conf describes.
+        """
+        model: LightningModule = instantiate(self.config.model.module)
+        try:
+            model.load_state_dict(self.state["state_dict"])
+        except RuntimeError as error:
+            raise UserError(
+                f"checkpoint {self.path}: its weights do not fit the model that the installed conf describes; "
+                f"use the version that it was trained with ({str(error).splitlines()[-1].strip()})"
+            ) from error
+        return model.eval()
+
+
+def _plain(node: Any) -> Any:
+    """A config without what decides which code runs, and without this machine's paths."""
+    if isinstance(node, dict):
+        return {key: _plain(value) for key, value in node.items() if not key.startswith("_") and key != "paths"}
+    return [_plain(value) for value in node] if isinstance(node, list) else node
+
+
+def _texts(node: Any) -> Iterator[str]:
+    """Every string in a tree of plain values, keys included."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield str(key)
+            yield from _texts(value)
+    elif isinstance(node, (list, tuple)):
+        for value in node:
+            yield from _texts(value)
+    elif isinstance(node, str):
+        yield node
+
+
+def _with_values(composed: Any, values: Any) -> Any:
+    """`values` in the place of what was composed; targets, which `values` lack, stay."""
+    if isinstance(composed, dict) and isinstance(values, dict):
+        return {**composed, **{key: _with_values(composed.get(key), value) for key, value in values.items()}}
+    if isinstance(composed, list) and isinstance(values, list) and len(composed) == len(values):
+        return [_with_values(old, new) for old, new in zip(composed, values, strict=True)]
+    return values

@@ -1,0 +1,174 @@
+"""Commands with a composed config: where conf lies, what it may hold, how mistakes are told."""
+
+import os
+import sys
+import warnings
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import Any
+
+import hydra
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.plugins import Plugins
+from hydra.errors import HydraException
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from imagination import plugins
+from imagination.errors import UserError, check_choice, check_range
+from imagination.runs import check_name
+
+RANGES: Mapping[str, tuple[float, float, str]] = {
+    "scale.resolution": (0.005, 1.0, "m"),
+    "scale.ego_extent": (0.5, 100.0, "m"),
+    "scale.world_extent": (1.0, 10_000.0, "m"),
+    "scale.rounds": (1, 1e9, "rounds"),
+    "scale.batch_size": (1, 100_000, "views"),
+    "scale.learning_rate": (0.0, 10.0, ""),
+    "scale.unit_width": (1, 1024, "channels"),
+    "scale.workers": (0, 1024, "processes"),
+    "scale.viewpoint_sets": (1, 10_000, ""),
+    "scale.orientations": (1, 1000, ""),
+    "kernels.imaginable": (0.005, 10.0, "m"),
+    "kernels.neighbourhood": (0.005, 10.0, "m"),
+    "kernels.truth": (0.005, 10.0, "m"),
+    "aggregation_factor": (0.0, 1.0, ""),
+    "robot.radius": (0.0, 2.0, "m"),
+    "seed": (0, 2**32 - 1, ""),
+}
+"""What is checked before anything is built, with units; builders check what they get as well."""
+
+TRUSTED = ("imagination", "lightning", "torch.nn", "torch.optim", "torchmetrics", "timm.models")
+"""What a config read from a file may build, besides what plugins define."""
+
+Task = Callable[[DictConfig], None]
+
+
+class _SearchPath(SearchPathPlugin):
+    """Lets Hydra find the conf trees of sound plugins, after the core's."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        for plugin in plugins.activate():
+            search_path.append(provider=f"plugin {plugin.name}", path=f"file://{plugin.conf}")
+
+
+def command(config_name: str) -> Callable[[Task], Callable[[], None]]:
+    """Make a function of a config into a command that composes conf/<config_name>.yaml from the command line.
+
+    Mistakes of the user are told in one message with exit code 2; anything else shows its traceback.
+    """
+
+    def decorate(task: Task) -> Callable[[], None]:
+        @wraps(task)
+        def checked(config: DictConfig) -> None:
+            validate(config)
+            task(config)
+
+        def main() -> None:
+            os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra passes errors on instead of ending the program
+            _register()
+            decorated = hydra.main(version_base="1.3", config_path=str(plugins.core_conf()), config_name=config_name)
+            try:
+                decorated(checked)()
+            except Exception as error:
+                if (message := explain(error)) is None:
+                    raise
+                sys.exit(_say(message))
+
+        return main
+
+    return decorate
+
+
+def compose(config_name: str, overrides: list[str]) -> DictConfig:
+    """Compose a config as a command would, from a script or inside another command."""
+    if GlobalHydra.instance().is_initialized():
+        return hydra.compose(config_name, overrides)
+    _register()
+    with hydra.initialize_config_dir(str(plugins.core_conf()), version_base="1.3"):
+        return hydra.compose(config_name, overrides)
+
+
+def explain(error: BaseException) -> str | None:
+    """What to tell the user about an error that is theirs to mend; None if it is the program's."""
+    causes = list(_causes(error))
+    for cause in causes:
+        if isinstance(cause, UserError):
+            return str(cause)
+    configured = [cause for cause in causes if isinstance(cause, (HydraException, OmegaConfBaseException))]
+    if not configured or type(error).__module__ == "builtins":
+        return None
+    lines = [line for cause in dict.fromkeys(map(str, configured)) for line in cause.splitlines()]
+    return "\n".join(dict.fromkeys(lines))
+
+
+def _causes(error: BaseException | None) -> Any:
+    while error is not None:
+        yield error
+        error = error.__cause__
+
+
+def _say(message: str) -> int:
+    print(f"error: {message}", file=sys.stderr)
+    return 2
+
+
+def _register() -> None:
+    if _SearchPath not in Plugins.instance().discover(SearchPathPlugin):
+        Plugins.instance().register(_SearchPath)
+
+
+def validate(config: DictConfig) -> None:
+    """Check what the user may have got wrong before hours are spent.
+
+    Raises:
+        UserError: on the first value out of range, with what is allowed.
+    """
+    check_name(config.name)
+    for key, (low, high, unit) in RANGES.items():
+        _check_number(key, OmegaConf.select(config, key), low, high, unit)
+    for position, width in enumerate(config.scale.cell_widths):
+        _check_number(f"scale.cell_widths[{position}]", width, 0.1, 100.0, "m")
+    if not config.unit_categories:
+        raise UserError("unit_categories: got none, expected at least one of: " + ", ".join(config.categories))
+    for name in config.unit_categories:
+        check_choice("category", name, config.categories)
+    if config.kernels.imaginable < config.kernels.neighbourhood:
+        warnings.warn(
+            f"kernels.imaginable ({config.kernels.imaginable} m) is smaller than kernels.neighbourhood "
+            f"({config.kernels.neighbourhood} m): W_gamma then covers label cells that the imaginable mask removed",
+            stacklevel=2,
+        )
+
+
+def check_targets(config: DictConfig) -> None:
+    """Check that a config read from a file builds only what the program, its plugins and its libraries define.
+
+    Raises:
+        UserError: if a `_target_` lies elsewhere or cannot be found.
+    """
+    allowed = {*TRUSTED, *(package for plugin in plugins.activate() for package in plugin.packages)}
+    for target in dict.fromkeys(plugins.targets_of(OmegaConf.to_container(config))):
+        package = target.partition(".")[0]
+        try:
+            # the module where it is defined counts: a path such as imagination.runs.os.remove leads elsewhere
+            home = str(getattr(hydra.utils.get_object(target), "__module__", "")) if package in _tops(allowed) else ""
+        except (ImportError, AttributeError) as error:
+            raise UserError(f"_target_: got {target!r}, which cannot be found; install its plugin again") from error
+        if not any(home == prefix or home.startswith(f"{prefix}.") for prefix in allowed):
+            raise UserError(
+                f"_target_: got {target!r}, expected one defined in {', '.join(sorted(allowed))}; "
+                "if you trust it, start a new run with it"
+            )
+
+
+def _tops(prefixes: set[str]) -> set[str]:
+    return {prefix.partition(".")[0] for prefix in prefixes}
+
+
+def _check_number(key: str, value: Any, low: float, high: float, unit: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise UserError(f"{key}: got {value!r}, expected a number in [{low}, {high}] {unit}".rstrip())
+    check_range(key, value, low, high, unit)

@@ -1,0 +1,35 @@
+"""From stored views to what a unit is trained on."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from imagination.ground_truth.label import label, neighbourhood
+from imagination.views.collector import Views
+
+Batch = dict[str, Tensor]
+"""rgb u8 [b 3 h w]; depth f16 [b 1 h w]; occupied, seen u8 [b 1 v v]; object, label, neighbourhood u8 [b c v v]."""
+
+
+def assemble(views: Views, layers: list[int], imaginable: int, neighbour: int) -> Batch:
+    """Make a batch: the truth crop V_object of the unit's categories, its label V_label and M*_seen.
+
+    Args:
+        views: stacked views.
+        layers: rows of the category table that the unit imagines.
+        imaginable: the kernel delta, cells.
+        neighbour: the kernel epsilon, cells.
+    """
+    target = views["object"][:, layers]
+    seen = views["seen"][:, None]
+    maps = {
+        "occupied": views["occupied"][:, None],
+        "seen": seen,
+        "object": target,
+        "label": label(target, seen, imaginable),
+        "neighbourhood": neighbourhood(target, seen, neighbour),
+    }
+    batch = {name: torch.from_numpy(np.ascontiguousarray(value)).to(torch.uint8) for name, value in maps.items()}
+    batch["rgb"] = torch.from_numpy(views["rgb"]).permute(0, 3, 1, 2)  # stays channels-last in memory
+    batch["depth"] = torch.from_numpy(views["depth"])[:, None]
+    return batch

@@ -1,0 +1,161 @@
+"""The data of a run: scenes, the views looked at in them, and batches made of these."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from lightning import LightningDataModule
+from torch.utils.data import DataLoader
+
+from imagination.data.batches import Batch, assemble
+from imagination.errors import UserError, check_range
+from imagination.geometry.morphology import kernel_cells
+from imagination.progress import progress
+from imagination.scenes.scene import Split
+from imagination.views.collector import Collector, PoseSampler, Stream, Views, concatenate, look
+from imagination.views.pool import ScenePool
+from imagination.views.view import Observer, plain
+
+
+class SceneData(LightningDataModule):
+    """Views of a scene source's homes, as batches.
+
+    Training batches come from the replay-buffer callback, which puts them into `rounds`; those of validation and test are
+    the same fixed views in each run, whatever its seed.
+
+    Args:
+        observer: what a view looks like.
+        unit_categories: names of the categories that the unit imagines.
+        sampler: draws training poses in a scene.
+        held_out_sampler: draws the poses of validation and test views.
+        imaginable: kernel delta, metres.
+        neighbourhood: kernel epsilon, metres.
+        seed: of the run.
+        parallel_scenes: scenes looked at in one collection.
+        batch_size: views in a batch.
+        held_out_views: number of views for validation and test.
+        workers: processes that render; 0 renders in the main process.
+
+    Raises:
+        UserError: on a value out of range or an unknown category.
+    """
+
+    def __init__(
+        self,
+        observer: Observer,
+        unit_categories: Sequence[str],
+        sampler: PoseSampler,
+        held_out_sampler: PoseSampler,
+        imaginable: float,
+        neighbourhood: float,
+        seed: int,
+        parallel_scenes: int,
+        batch_size: int,
+        held_out_views: Mapping[Split, int],
+        workers: int,
+    ) -> None:
+        super().__init__()
+        self.observer = observer
+        self.unit_categories = list(unit_categories)
+        self.layers = [observer.categories.index(name) - 1 for name in unit_categories]
+        self.sampler, self.held_out_sampler = sampler, held_out_sampler
+        self.imaginable = kernel_cells(imaginable, observer.ego.resolution)
+        self.neighbourhood = kernel_cells(neighbourhood, observer.ego.resolution)
+        self.seed = seed
+        self.parallel_scenes = parallel_scenes
+        self.batch_size = int(check_range("batch_size", batch_size, 1, 100_000, "views"))
+        self.held_out_views = dict(held_out_views)
+        self.workers = workers
+        self.rounds: Iterable[Batch] | None = None
+        self._pool: ScenePool | None = None
+        self._surveyed: set[Split] = set()
+        self._held_out: dict[Split, Views] = {}
+
+    @property
+    def pool(self) -> ScenePool:
+        """The workers that render, started at first use and kept until `close`."""
+        if self._pool is None:
+            self._pool = ScenePool(self.observer, self.workers)
+        return self._pool
+
+    def close(self) -> None:
+        """Stop the workers."""
+        if self._pool is not None:
+            self._pool.close()
+            self._pool = None
+
+    def setup(self, stage: str) -> None:
+        splits: dict[str, list[Split]] = {"fit": ["train", "val"], "validate": ["val"], "test": ["test"]}
+        for split in splits.get(stage, []):
+            self.survey(split)
+
+    def survey(self, split: Split) -> None:
+        """Build the homes of a split and their ground truth, in parallel.
+
+        Raises:
+            UserError: if no home of the split contains one of the unit's categories.
+        """
+        if split in self._surveyed:
+            return
+        names = self.observer.source.scenes(split)
+        tasks = [self.pool.submit(count_truth, name) for name in names]
+        counts = np.array([task.result() for task in progress(tasks, f"homes and ground truth ({split})")])
+        for name, layer in zip(self.unit_categories, self.layers, strict=True):
+            if not counts[:, layer].any():
+                raise UserError(
+                    f"category {name!r}: none of the {len(names)} homes of the split {split!r} contains one; "
+                    "choose another category or scene source, or more homes"
+                )
+        self._surveyed.add(split)
+
+    def collector(self, steps: int) -> Collector:
+        """The collector of training views; a collection takes `steps` steps."""
+        scenes = self.observer.source.scenes("train")
+        return Collector(self.pool, scenes, self.sampler, self.seed, self.parallel_scenes, steps)
+
+    def assemble(self, views: Views) -> Batch:
+        """A batch for the unit's categories."""
+        return assemble(views, self.layers, self.imaginable, self.neighbourhood)
+
+    def train_dataloader(self) -> Iterable[Batch]:
+        if self.rounds is None:
+            raise UserError("training: got no replay buffer; add callbacks.replay_buffer, which collects the views")
+        return self.rounds
+
+    def val_dataloader(self) -> DataLoader[Batch]:
+        return self._batches_of("val")
+
+    def test_dataloader(self) -> DataLoader[Batch]:
+        return self._batches_of("test")
+
+    def _batches_of(self, split: Split) -> DataLoader[Batch]:
+        if split not in self._held_out:
+            self._held_out[split] = self._look_at(split)
+        views = self._held_out[split]
+        starts = range(0, len(views["pose"]), self.batch_size)
+        batches = [self.assemble({name: v[at : at + self.batch_size] for name, v in views.items()}) for at in starts]
+        return DataLoader(batches, batch_size=None)  # type: ignore[arg-type]  # a list is a map-style data set
+
+    def _look_at(self, split: Split) -> Views:
+        """The fixed views of a split, spread evenly over its homes."""
+        names = self.observer.source.scenes(split)
+        share, rest = divmod(self.held_out_views[split], len(names))
+        tasks = [
+            self.pool.submit(held_out_views, name, self.held_out_sampler, place, share + (place < rest))
+            for place, name in enumerate(names)
+            if share + (place < rest)
+        ]
+        return concatenate([task.result() for task in progress(tasks, f"views of unseen homes ({split})")])
+
+
+def count_truth(observer: Observer, scene: str) -> list[int]:
+    """Cells of ground truth of each category in a scene, which builds or loads its maps."""
+    truth: list[int] = observer.truth(scene).truth.sum(axis=(1, 2)).tolist()
+    return truth
+
+
+def held_out_views(observer: Observer, scene: str, sampler: PoseSampler, place: int, count: int) -> Views:
+    """Views of a scene that are the same in every run, from the cache where they are kept."""
+    key: dict[str, Any] = {"view": observer.view_key(scene), "sampler": plain(sampler), "place": place, "count": count}
+    seed = (0, Stream.HELD_OUT_VIEWS, place)
+    return observer.cache.get_or_build("views", key, lambda: look(observer, scene, sampler, seed, count))

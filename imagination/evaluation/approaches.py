@@ -1,0 +1,158 @@
+"""The approaches that are compared: what each says about a view, how views are put together, how the map is finished."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from imagination.errors import check_choice, check_range
+from imagination.geometry.camera import Camera
+from imagination.geometry.grid import EgoGrid
+from imagination.geometry.morphology import close, dilate, kernel_cells
+from imagination.geometry.projection import Band, project_categories
+from imagination.ground_truth.label import neighbourhood
+from imagination.mapping.registration import Rule
+from imagination.views.collector import Views
+
+
+class Setting(NamedTuple):
+    """What all approaches share.
+
+    Attributes:
+        camera, ego: of the views.
+        layers: rows of the category table that are evaluated.
+        categories: their names.
+        table_size: rows of the category table.
+    """
+
+    camera: Camera
+    ego: EgoGrid
+    layers: list[int]
+    categories: list[str]
+    table_size: int
+
+
+class Statement(NamedTuple):
+    """What views say: the values of cells, and which cells they have something to say about."""
+
+    values: Float32[np.ndarray, "n c v v"]
+    mask: Bool[np.ndarray, "n c v v"]
+
+
+class Evidence(Protocol):
+    """Turns views into statements. Hashable, so that approaches with equal evidence and rule share a map."""
+
+    def __call__(self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting) -> Statement:
+        """What `views` say, given the network's `probabilities` for each."""
+
+
+@dataclass(frozen=True)
+class ProjectedSegmentation:
+    """First-person ground-truth segmentation, projected by depth: ordinary semantic mapping with a perfect network.
+
+    A view has something to say about the cells it saw and those that a return of the category fell into.
+
+    Attributes:
+        low, high: band of heights above the floor whose returns count, metres.
+        max_range: depth beyond which returns are ignored, metres.
+    """
+
+    low: float
+    high: float
+    max_range: float
+
+    def __post_init__(self) -> None:
+        check_range("seg.high", self.high, self.low, 100.0, "m", open_low=True)
+        check_range("seg.max_range", self.max_range, 0.0, np.inf, "m", open_low=True)
+
+    def __call__(self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting) -> Statement:
+        found = np.zeros_like(probabilities, dtype=bool)
+        for index, (depth, image) in enumerate(zip(views["depth"], views["categories"], strict=True)):
+            layers = project_categories(
+                depth.astype(np.float32),
+                image,
+                setting.camera,
+                setting.ego,
+                setting.table_size,
+                Band(self.low, self.high),
+                self.max_range,
+            )
+            found[index] = layers[setting.layers]
+        return Statement(found.astype(np.float32), found | views["seen"][:, None])
+
+
+@dataclass(frozen=True)
+class SeenPrediction:
+    """imagination_seen: the prediction where depth saw the cell, prediction ∘ V_seen."""
+
+    def __call__(self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting) -> Statement:
+        # masked by what is written, not by zeros: these would be mixed into the rim of V_seen when views are registered
+        return Statement(probabilities, np.broadcast_to(views["seen"][:, None], probabilities.shape))
+
+
+@dataclass(frozen=True)
+class ValidPrediction:
+    """imagination: V_valid = prediction ∘ M*_seen, with M*_seen = dilation([prediction >= tau_valid] ∘ V_seen, epsilon).
+
+    A view has something to say about the cells it saw, where it denies what is not valid, and about M*_seen.
+
+    Attributes:
+        threshold: tau_valid.
+        kernel: epsilon, metres.
+    """
+
+    threshold: float
+    kernel: float
+
+    def __post_init__(self) -> None:
+        check_range("mapping.valid_threshold", self.threshold, 0.0, 1.0, open_low=True)
+        check_range("mapping.valid_kernel", self.kernel, 0.0, 100.0, "m")
+
+    def __call__(self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting) -> Statement:
+        seen = views["seen"][:, None]
+        epsilon = kernel_cells(self.kernel, setting.ego.resolution)
+        valid = neighbourhood(probabilities >= self.threshold, seen, epsilon)
+        return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen)
+
+
+Finish = Literal["keep", "close", "grow"]
+
+
+@dataclass(frozen=True)
+class Approach:
+    """One row of the tables.
+
+    Attributes:
+        evidence: what it says about a view.
+        rule: how the statements of successive views are put together.
+        finish: what is done to the map once its threshold is applied: nothing, closing gaps, or growing.
+        kernels: candidates for closing or growing, metres; the best on validation homes is taken.
+    """
+
+    evidence: Evidence
+    rule: Rule
+    finish: Finish = "keep"
+    kernels: Sequence[float] = (0.0,)
+
+    def __post_init__(self) -> None:
+        check_choice("approach.finish", self.finish, ("keep", "close", "grow"))
+        for kernel in self.kernels:
+            check_range("approach.kernels", kernel, 0.0, 10.0, "m")
+        check_range("approach.kernels", len(self.kernels), 1, 1000, "candidates")
+
+    @property
+    def map_key(self) -> tuple[Any, ...]:
+        """Approaches with equal keys have the same map before finishing."""
+        return self.evidence, self.rule
+
+    def finished(self, score: Float32[np.ndarray, "h w"], kernel: float, resolution: float) -> Float32[np.ndarray, "h w"]:
+        """The score whose thresholding equals thresholding first and finishing then.
+
+        That order does not matter, since a dilation or erosion with a flat kernel takes the largest or smallest score.
+        """
+        cells = kernel_cells(kernel, resolution) if kernel > 0 else 1
+        if self.finish == "keep" or cells == 1:
+            return score
+        return (close if self.finish == "close" else dilate)(score, cells)

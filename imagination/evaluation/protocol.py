@@ -1,0 +1,242 @@
+"""The mapping task of the paper: global maps from sparse viewpoints, compared with the truth of the whole home.
+
+Thresholds and kernels are chosen on validation homes, then every home, cell width and viewpoint set of the test split
+is measured. Nothing here knows what kind of network predicts.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from imagination.errors import UserError, check_range
+from imagination.evaluation.approaches import Approach, Setting
+from imagination.evaluation.maps import Area, area_of, growth, score_maps
+from imagination.evaluation.metrics import count
+from imagination.evaluation.runs import Looks, Run, render, runs_of, views_of
+from imagination.evaluation.selection import THRESHOLDS, Choice, choose, tally
+from imagination.geometry.grid import Grid
+from imagination.progress import progress
+from imagination.views.collector import Views
+from imagination.views.pool import ScenePool
+
+Predict = Callable[[Views], Float32[np.ndarray, "n c v v"]]
+"""The network: probabilities of the evaluated categories for each view."""
+
+Choices = dict[tuple[str, str], Choice]
+"""What was chosen for each approach and category."""
+
+
+class Subject(NamedTuple):
+    """What is evaluated, and on which homes' worker processes.
+
+    Attributes:
+        pool: renders views; holds the observer.
+        setting: camera, grid and categories.
+        predict: the network.
+    """
+
+    pool: ScenePool
+    setting: Setting
+    predict: Predict
+
+
+class Key(NamedTuple):
+    """A row of the table."""
+
+    approach: str
+    category: str
+    cell_width: float
+
+
+class Example(NamedTuple):
+    """Maps of one run, for figures.
+
+    Attributes:
+        run, category: which.
+        grid: of the maps.
+        occupied, truth: M_occu and M_gt.
+        predicted: the map of each approach.
+        poses: of the views.
+    """
+
+    run: Run
+    category: str
+    grid: Grid
+    occupied: Bool[np.ndarray, "h w"]
+    truth: Bool[np.ndarray, "h w"]
+    predicted: dict[str, Bool[np.ndarray, "h w"]]
+    poses: Float64[np.ndarray, "n 3"]
+
+
+class Report(NamedTuple):
+    """What was measured.
+
+    Attributes:
+        counts: correct, false and truth pixels of every run of the homes that contain the category.
+        shuffled: the same with the views of each run registered in a random order.
+        choices: threshold and kernel of each approach and category.
+        homes, left_out: for each category, the homes that contain it and those that do not.
+        examples: maps of the first viewpoint set of each category's first home, one for each cell width.
+        views: how many views the maps are made of.
+        snap_distance: how far viewpoints were moved to free space, mean over them, metres.
+    """
+
+    counts: dict[Key, Int64[np.ndarray, "homes sets 3"]]
+    shuffled: dict[Key, Int64[np.ndarray, "homes sets 3"]]
+    choices: Choices
+    homes: dict[str, list[str]]
+    left_out: dict[str, list[str]]
+    examples: list[Example]
+    views: int
+    snap_distance: float
+
+
+class _RunMaps(NamedTuple):
+    run: Run
+    views: Views
+    area: Area
+    scores: dict[str, Float32[np.ndarray, "c h w"]]
+    shuffled: dict[str, Float32[np.ndarray, "c h w"]]
+
+
+@dataclass(frozen=True)
+class MappingProtocol:
+    """How mapping is evaluated.
+
+    Attributes:
+        approaches: by name, in the order of the table.
+        cell_widths: spacings of the viewpoints, metres.
+        viewpoint_sets: random sets for each home and cell width.
+        orientations: random headings at each viewpoint.
+        seed: of viewpoints, headings, shuffling and bootstrap.
+        resamples: of homes, for intervals.
+    """
+
+    approaches: Mapping[str, Approach]
+    cell_widths: Sequence[float]
+    viewpoint_sets: int
+    orientations: int
+    seed: int
+    resamples: int
+
+    def __post_init__(self) -> None:
+        check_range("evaluation.cell_widths", len(self.cell_widths), 1, 100, "widths")
+        for width in self.cell_widths:
+            check_range("evaluation.cell_widths", width, 0.25, 50.0, "m")
+        check_range("evaluation.viewpoint_sets", self.viewpoint_sets, 1, 10_000)
+        check_range("evaluation.orientations", self.orientations, 1, 1000)
+        check_range("evaluation.resamples", self.resamples, 10, 10_000_000)
+        check_range("evaluation.approaches", len(self.approaches), 1, 1000, "approaches")
+
+    def choose(self, subject: Subject, homes: Sequence[str], silent: bool = False) -> Choices:
+        """Choose each approach's threshold and kernel by pooled IoU over all runs of `homes`, at all cell widths together.
+
+        Raises:
+            UserError: if a category is in none of the homes.
+        """
+        present = self._homes_with(subject, homes, "validation")
+        zeros = {name: np.zeros((len(a.kernels), len(THRESHOLDS), 3), np.int64) for name, a in self.approaches.items()}
+        totals = {(name, category): zeros[name].copy() for name in zeros for category in present}
+        for maps in self._maps(subject, homes, "maps of validation homes", silent):
+            for layer, category in enumerate(subject.setting.categories):
+                if maps.run.home not in present[category]:
+                    continue
+                for name, approach in self.approaches.items():
+                    for index, kernel in enumerate(approach.kernels):
+                        score = approach.finished(maps.scores[name][layer], kernel, maps.area.grid.resolution)
+                        totals[name, category][index] += tally(score, maps.area.truth[layer], THRESHOLDS)
+        return {
+            (name, category): choose(tallies, np.array(self.approaches[name].kernels, np.float64), THRESHOLDS)
+            for (name, category), tallies in totals.items()
+        }
+
+    def measure(self, subject: Subject, homes: Sequence[str], choices: Choices, silent: bool = False) -> Report:
+        """Measure every approach on all runs of `homes`.
+
+        Raises:
+            UserError: if a category is in none of the homes.
+        """
+        present = self._homes_with(subject, homes, "test")
+        counts: dict[Key, list[Int64[np.ndarray, "3"]]] = defaultdict(list)
+        shuffled: dict[Key, list[Int64[np.ndarray, "3"]]] = defaultdict(list)
+        examples: list[Example] = []
+        snaps, views = [], 0
+        for maps in self._maps(subject, homes, "maps of test homes", silent):
+            views += len(maps.views["pose"])
+            snaps.append(maps.views["snap_distance"])
+            for layer, category in enumerate(subject.setting.categories):
+                if maps.run.home not in present[category]:
+                    continue
+                predicted = self._predicted(maps.scores, choices, layer, category, maps.area.grid)
+                in_random_order = self._predicted(maps.shuffled, choices, layer, category, maps.area.grid)
+                for name in self.approaches:
+                    key = Key(name, category, maps.run.cell_width)
+                    counts[key].append(count(predicted[name], maps.area.truth[layer]))
+                    shuffled[key].append(count(in_random_order[name], maps.area.truth[layer]))
+                if maps.run.number == 0 and maps.run.home == present[category][0]:
+                    area, poses = maps.area, maps.views["pose"]
+                    examples.append(
+                        Example(maps.run, category, area.grid, area.occupied, area.truth[layer], predicted, poses)
+                    )
+        return Report(
+            self._by_home(counts),
+            self._by_home(shuffled),
+            choices,
+            present,
+            {category: [home for home in homes if home not in names] for category, names in present.items()},
+            examples,
+            views,
+            float(np.concatenate(snaps).mean()) if sum(map(len, snaps)) else 0.0,
+        )
+
+    def _maps(self, subject: Subject, homes: Sequence[str], title: str, silent: bool) -> Iterator[_RunMaps]:
+        """The maps of every run of `homes`, home by home, then by cell width and viewpoint set."""
+        runs, looks = runs_of(homes, self.cell_widths, self.viewpoint_sets), Looks(self.seed, self.orientations)
+        render(subject.pool, runs, looks, silent)
+        observer, setting = subject.pool.observer, subject.setting
+        rng = np.random.default_rng(self.seed)
+        for run in runs if silent else progress(runs, title):
+            views = views_of(observer, run, looks)
+            probabilities = subject.predict(views)
+            area = area_of(
+                observer.truth(run.home), setting.layers, views["pose"], setting.ego, growth(self.approaches)
+            )
+            in_order = np.arange(len(views["pose"]))
+            scores, shuffled = (
+                score_maps(views, probabilities, self.approaches, setting, area.grid, order)
+                for order in (in_order, rng.permutation(in_order))
+            )
+            yield _RunMaps(run, views, area, scores, shuffled)
+
+    def _predicted(
+        self, scores: dict[str, Float32[np.ndarray, "c h w"]], choices: Choices, layer: int, category: str, grid: Grid
+    ) -> dict[str, Bool[np.ndarray, "h w"]]:
+        predicted = {}
+        for name, approach in self.approaches.items():
+            choice = choices[name, category]
+            score = approach.finished(scores[name][layer], choice.kernel, grid.resolution)
+            predicted[name] = score >= np.float32(choice.threshold)
+        return predicted
+
+    def _by_home(
+        self, counts: dict[Key, list[Int64[np.ndarray, "3"]]]
+    ) -> dict[Key, Int64[np.ndarray, "homes sets 3"]]:
+        return {key: np.stack(rows).reshape(-1, self.viewpoint_sets, 3) for key, rows in counts.items()}
+
+    def _homes_with(self, subject: Subject, homes: Sequence[str], split: str) -> dict[str, list[str]]:
+        observer, setting = subject.pool.observer, subject.setting
+        present = {
+            category: [home for home in homes if observer.truth(home).truth[layer].any()]
+            for category, layer in zip(setting.categories, setting.layers, strict=True)
+        }
+        for category, names in present.items():
+            if not names:
+                raise UserError(
+                    f"category {category!r}: none of the {len(homes)} {split} homes contains one; "
+                    "choose another category or scene source, or more homes"
+                )
+        return present

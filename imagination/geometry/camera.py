@@ -1,0 +1,75 @@
+"""The pinhole camera on the robot (docs/conventions.md: optical frame x right, y down, z forward; pixel centres at +0.5)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from imagination.errors import check_range
+from imagination.geometry.pose import Pose
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with square pixels and the principal point at the image's centre.
+
+    Attributes:
+        width, height: pixels.
+        field_of_view: horizontal, radians.
+        mount_height: of the optical centre above the floor, metres.
+        pitch: radians, positive looks down.
+        roll: radians about the optical axis, positive turns the camera clockwise as seen from behind.
+    """
+
+    width: int
+    height: int
+    field_of_view: float
+    mount_height: float
+    pitch: float = 0.0
+    roll: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_range("camera.width", self.width, 8, 8192, "pixels")
+        check_range("camera.height", self.height, 8, 8192, "pixels")
+        check_range("camera.field_of_view", self.field_of_view, 0.1, 3.0, "rad")
+        check_range("camera.mount_height", self.mount_height, 0.05, 5.0, "m")
+        check_range("camera.pitch", self.pitch, -1.4, 1.4, "rad (positive looks down)")
+        check_range("camera.roll", self.roll, -np.pi, np.pi, "rad")
+
+    @classmethod
+    def from_degrees(
+        cls, width: int, height: int, field_of_view: float, mount_height: float, pitch: float = 0.0, roll: float = 0.0
+    ) -> "Camera":
+        """The camera as configured: angles in degrees, everything else as in the class."""
+        fov, tilt, turn = np.deg2rad([field_of_view, pitch, roll]).tolist()
+        return cls(width, height, fov, mount_height, tilt, turn)
+
+    @property
+    def focal_length(self) -> float:
+        """Focal length in pixels."""
+        return 0.5 * self.width / float(np.tan(self.field_of_view / 2))
+
+    @property
+    def principal_point(self) -> tuple[float, float]:
+        """Pixel coordinates of the optical axis."""
+        return self.width / 2, self.height / 2
+
+    def to_robot(self) -> Float[np.ndarray, "4 4"]:
+        """Transform from the optical frame to the robot's frame (x forward, y left, z up, origin on the floor)."""
+        optical_to_level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+        cos_p, sin_p = np.cos(self.pitch), np.sin(self.pitch)
+        pitch = np.array([[cos_p, 0.0, sin_p], [0.0, 1.0, 0.0], [-sin_p, 0.0, cos_p]])
+        cos_r, sin_r = np.cos(self.roll), np.sin(self.roll)
+        roll = np.array([[1.0, 0.0, 0.0], [0.0, cos_r, -sin_r], [0.0, sin_r, cos_r]])
+        transform = np.eye(4)
+        transform[:3, :3] = pitch @ roll @ optical_to_level
+        transform[2, 3] = self.mount_height
+        return transform
+
+    def to_world(self, pose: Pose, floor_height: float = 0.0) -> Float[np.ndarray, "4 4"]:
+        """Transform from the optical frame to the world's, for the robot at `pose` on a floor at `floor_height` metres."""
+        robot_to_world = np.eye(4)
+        planar = pose.matrix()
+        robot_to_world[:2, :2], robot_to_world[:2, 3] = planar[:2, :2], planar[:2, 2]
+        robot_to_world[2, 3] = floor_height
+        return robot_to_world @ self.to_robot()

@@ -1,0 +1,60 @@
+"""Where egocentric cells lie in a global map, and cutting the window around the robot out of it (docs/conventions.md)."""
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from imagination.compiled import compiled
+from imagination.errors import UserError
+from imagination.geometry.grid import EgoGrid, Grid
+from imagination.geometry.pose import Pose
+
+
+def ego_to_grid(ego: EgoGrid, grid: Grid, pose: Pose) -> Float64[np.ndarray, "2 3"]:
+    """Affine map from egocentric (row, column, 1) to global (row, column); whole numbers are centres of cells.
+
+    Raises:
+        UserError: if the pose is not finite.
+    """
+    if not np.isfinite(pose).all():
+        raise UserError(f"pose: got {tuple(pose)}, expected finite x, y in metres and theta in radians")
+    scale = ego.resolution / grid.resolution
+    cos, sin = scale * np.cos(pose.theta), scale * np.sin(pose.theta)
+    turn = np.array([[sin, cos], [-cos, sin]])  # heading along +y, both maps look up: the identity
+    robot = [
+        grid.rows - 0.5 - (pose.y - grid.origin[1]) / grid.resolution,
+        (pose.x - grid.origin[0]) / grid.resolution - 0.5,
+    ]
+    return np.column_stack([turn, robot - turn @ [ego.cells - 1, ego.cells // 2]])
+
+
+def crop(layer: Bool[np.ndarray, "*b h w"], grid: Grid, pose: Pose, ego: EgoGrid) -> Bool[np.ndarray, "*b v v"]:
+    """The egocentric window of global maps: each cell gets the value of the global cell that its centre lies in.
+
+    Args:
+        layer: one map of the grid, or any number stacked in front.
+        grid: of the maps.
+        pose: of the robot.
+        ego: grid of the result; cells outside the global map are False.
+
+    Raises:
+        UserError: if the pose is not finite or the maps have another shape than the grid.
+    """
+    if layer.shape[-2:] != grid.shape:
+        raise UserError(f"map to crop: got shape {layer.shape[-2:]}, expected {grid.shape} as the grid has")
+    out = np.zeros((*layer.shape[:-2], ego.cells, ego.cells), np.bool_)
+    _pull(layer.reshape(-1, *grid.shape), ego_to_grid(ego, grid, pose), out.reshape(-1, ego.cells, ego.cells))
+    return out
+
+
+@compiled
+def _pull(
+    layers: Bool[np.ndarray, "c h w"], to_grid: Float64[np.ndarray, "2 3"], out: Bool[np.ndarray, "c v v"]
+) -> None:
+    rows, columns = layers.shape[1:]
+    for r in range(out.shape[1]):
+        for c in range(out.shape[2]):
+            row = np.floor(to_grid[0, 0] * r + to_grid[0, 1] * c + to_grid[0, 2] + 0.5)
+            column = np.floor(to_grid[1, 0] * r + to_grid[1, 1] * c + to_grid[1, 2] + 0.5)
+            if 0 <= row < rows and 0 <= column < columns:
+                for k in range(out.shape[0]):
+                    out[k, r, c] = layers[k, int(row), int(column)]

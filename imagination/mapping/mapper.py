@@ -1,0 +1,188 @@
+"""The mapper: egocentric views registered into a global map with known poses (docs/conventions.md)."""
+
+import os
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
+
+from imagination.compiled import compiled
+from imagination.errors import UserError
+from imagination.geometry.crop import ego_to_grid
+from imagination.geometry.grid import EgoGrid, Grid
+from imagination.geometry.pose import Pose
+from imagination.mapping.registration import Rule
+
+BYTES_PER_CELL = 8
+"""A probability (float32) and the number of views that wrote the cell (int32)."""
+
+
+class Mapper:
+    """A global map of probabilities, one layer for each category, that grows by registered views.
+
+    A view changes only the cells of its own window, pulled by inverse mapping (values bilinear, masks nearest), so its cost
+    depends on the egocentric map's size, never on the global map's.
+
+    Args:
+        grid: of the global map.
+        ego: grid of the views; of the same resolution.
+        categories: names of the layers.
+        rule: what becomes of cells that were written before.
+
+    Raises:
+        UserError: if the resolutions differ, there is no category, or the map would not fit in memory.
+
+    >>> from imagination.mapping.registration import MovingAverage
+    >>> ego = EgoGrid(resolution=1.0, cells=3)
+    >>> mapper = Mapper(Grid.centred(5.0, 1.0), ego, ["chair"], MovingAverage(0.9))
+    >>> for value in (1.0, 0.0):
+    ...     mapper.register(np.full((1, 3, 3), value, np.float32), np.ones((1, 3, 3), bool), Pose(0.0, 0.0, np.pi / 2))
+    >>> mapper.probabilities[0]
+    array([[0. , 0.9, 0.9, 0.9, 0. ],
+           [0. , 0.9, 0.9, 0.9, 0. ],
+           [0. , 0.9, 0.9, 0.9, 0. ],
+           [0. , 0. , 0. , 0. , 0. ],
+           [0. , 0. , 0. , 0. , 0. ]], dtype=float32)
+    """
+
+    def __init__(self, grid: Grid, ego: EgoGrid, categories: Sequence[str], rule: Rule) -> None:
+        if not categories:
+            raise UserError("categories: got none, expected the name of at least one layer")
+        if not np.isclose(ego.resolution, grid.resolution, rtol=1e-6, atol=0):
+            raise UserError(
+                f"resolution: got {ego.resolution} m for views and {grid.resolution} m for the map, expected one for both"
+            )
+        needed, there = len(categories) * grid.rows * grid.columns * BYTES_PER_CELL, physical_memory()
+        if needed > there:
+            raise UserError(
+                f"map of {len(categories)} x {grid.rows} x {grid.columns} cells: got {needed / 1e9:.1f} GB to allocate, "
+                f"expected at most this machine's {there / 1e9:.1f} GB; choose a coarser resolution or a smaller extent"
+            )
+        self.grid, self.ego, self.categories, self.rule = grid, ego, list(categories), rule
+        side = int(np.ceil(np.sqrt(2) * ego.cells)) + 1  # of the window of a view turned by 45 degrees
+        most = len(categories) * side * side
+        self._touched = (
+            np.empty(most, np.int64),  # flat index of each cell that a view touches
+            np.empty(most, np.float32),  # its value in the view
+            np.empty(most, np.float32),  # its value in the map
+            np.empty(most, np.int32),  # views that wrote it before
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        shape = len(self.categories), *self.grid.shape
+        self._probabilities = np.zeros(shape, np.float32)
+        self._count = np.zeros(shape, np.int32)
+
+    @property
+    def probabilities(self) -> Float32[np.ndarray, "c h w"]:
+        """The map itself, not a copy; 0 where nothing was written."""
+        return self._probabilities
+
+    @property
+    def written(self) -> Bool[np.ndarray, "c h w"]:
+        """Cells that a view has written."""
+        return self._count > 0
+
+    def register(self, values: Float32[np.ndarray, "c v v"], mask: Bool[np.ndarray, "c v v"], pose: Pose) -> None:
+        """Let one view have its say.
+
+        Args:
+            values: probabilities, 0 to 1.
+            mask: cells about which the view has something to say; others stay as they are.
+            pose: of the robot, from which the view was taken.
+
+        Raises:
+            UserError: on wrong shapes or types, values that are not probabilities, or a pose that is not finite. The map
+                stays as it was.
+        """
+        self._check(values, mask)
+        to_grid = ego_to_grid(self.ego, self.grid, pose)
+        window = _window(to_grid, self.ego, self.grid)
+        layers = self._probabilities.reshape(-1), self._count.reshape(-1)
+        n = _pull(values, mask, cv2.invertAffineTransform(to_grid), window, self.grid.shape, *layers, *self._touched)
+        touched, new, old, count = (array[:n] for array in self._touched)
+        _push(*layers, touched, new, self.rule(old, new, count))
+
+    def _check(self, values: np.ndarray, mask: np.ndarray) -> None:
+        shape = len(self.categories), self.ego.cells, self.ego.cells
+        for name, array, dtype in (("values", values, np.float32), ("mask", mask, np.bool_)):
+            if array.shape != shape or array.dtype != dtype:
+                wanted = np.dtype(dtype).name
+                raise UserError(f"{name}: got {array.dtype} of shape {array.shape}, expected {wanted} of shape {shape}")
+        low, high = values.min(), values.max()
+        if not (low >= 0 and high <= 1):  # NaN compares false, so it is refused too
+            raise UserError(f"values: got {low} to {high}, expected probabilities, 0 to 1; apply the sigmoid before")
+
+
+def physical_memory() -> int:
+    """Memory of this machine, bytes."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def _window(to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid, grid: Grid) -> tuple[int, int, int, int]:
+    """First and last row, first and last column of the global cells whose centres a view may cover."""
+    low, high = -0.5, ego.cells - 0.5
+    corners = to_grid @ np.array([[low, low, high, high], [low, high, low, high], [1.0, 1.0, 1.0, 1.0]])
+    first = np.clip(np.ceil(corners.min(axis=1)), 0, grid.shape)
+    last = np.clip(np.floor(corners.max(axis=1)), -1, np.array(grid.shape) - 1)
+    return int(first[0]), int(last[0]), int(first[1]), int(last[1])
+
+
+@compiled
+def _pull(
+    values: Float32[np.ndarray, "c v v"],
+    mask: Bool[np.ndarray, "c v v"],
+    to_ego: Float64[np.ndarray, "2 3"],
+    window: tuple[int, int, int, int],
+    shape: tuple[int, int],
+    probabilities: Float32[np.ndarray, " m"],
+    counts: Int32[np.ndarray, " m"],
+    touched: Int64[np.ndarray, " n"],
+    new: Float32[np.ndarray, " n"],
+    old: Float32[np.ndarray, " n"],
+    count: Int32[np.ndarray, " n"],
+) -> int:
+    """List the cells that the view touches: flat index, value in the view, in the map, writes; returns how many.
+
+    The mask comes from the nearest egocentric cell, the value from the four nearest; beyond the rim the rim goes on.
+    """
+    layers, last = values.shape[0], values.shape[1] - 1
+    n = 0
+    for row in range(window[0], window[1] + 1):
+        for column in range(window[2], window[3] + 1):
+            r = to_ego[0, 0] * row + to_ego[0, 1] * column + to_ego[0, 2]
+            c = to_ego[1, 0] * row + to_ego[1, 1] * column + to_ego[1, 2]
+            if not (-0.5 <= r < last + 0.5 and -0.5 <= c < last + 0.5):
+                continue
+            nearest_r, nearest_c = int(r + 0.5), int(c + 0.5)
+            inside_r, inside_c = min(max(r, 0.0), float(last)), min(max(c, 0.0), float(last))
+            up, left = int(inside_r), int(inside_c)
+            down, right = min(up + 1, last), min(left + 1, last)
+            down_share, right_share = np.float32(inside_r - up), np.float32(inside_c - left)
+            for k in range(layers):
+                if mask[k, nearest_r, nearest_c]:
+                    upper = values[k, up, left] + right_share * (values[k, up, right] - values[k, up, left])
+                    lower = values[k, down, left] + right_share * (values[k, down, right] - values[k, down, left])
+                    cell = (k * shape[0] + row) * shape[1] + column
+                    touched[n], old[n], count[n] = cell, probabilities[cell], counts[cell]
+                    new[n] = upper + down_share * (lower - upper)
+                    n += 1
+    return n
+
+
+@compiled
+def _push(
+    probabilities: Float32[np.ndarray, " m"],
+    counts: Int32[np.ndarray, " m"],
+    touched: Int64[np.ndarray, " n"],
+    new: Float32[np.ndarray, " n"],
+    merged: Float32[np.ndarray, " n"],
+) -> None:
+    """Write merged values, or new ones whole where nothing was written before, and count the write."""
+    for n in range(touched.size):
+        cell = touched[n]
+        probabilities[cell] = merged[n] if counts[cell] > 0 else new[n]
+        counts[cell] += 1

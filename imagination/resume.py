@@ -1,0 +1,146 @@
+"""Which run a command line asks for: a new one, or one to go on with in its folder."""
+
+import logging
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from imagination import runs
+from imagination.config import check_targets, validate
+from imagination.errors import UserError
+
+log = logging.getLogger(__name__)
+
+MAY_CHANGE = ("trainer.max_epochs", "trainer.accelerator", "trainer.devices", "paths.")
+"""What may be overridden when a run goes on; all else is the run's own."""
+
+
+class Run(NamedTuple):
+    """A run that this process holds.
+
+    Attributes:
+        folder: its own.
+        config: composed, with `paths.run` set.
+        checkpoint: to go on from; None to begin.
+    """
+
+    folder: Path
+    config: DictConfig
+    checkpoint: Path | None
+
+
+@contextmanager
+def opened(config: DictConfig) -> Iterator[Run]:
+    """The run that a command line asks for, locked and with its log, until the end.
+
+    Raises:
+        UserError: if there is nothing to go on with, or it may not be changed like this.
+    """
+    folder = _existing(config) if config.resume or config.ckpt_path else _new(config)
+    with runs.locked(folder), runs.logging_to(folder / "run.log"):
+        run = _go_on(folder, config) if config.resume or config.ckpt_path else _begin(folder, config)
+        try:
+            yield run
+        except UserError as error:
+            log.error("%s", error)
+            raise
+        except (KeyboardInterrupt, SystemExit) as stop:
+            if not _pressed(stop):
+                raise
+            last = folder / runs.LAST
+            again = f"ckpt_path={last}" if last.is_file() else "the same arguments: no round was finished"
+            log.warning("Interrupted. Go on with: python -m imagination.train %s", again)
+            raise SystemExit(130) from stop
+
+
+def _new(config: DictConfig) -> Path:
+    """A new run's folder: of a sweep's member inside the sweep's, else outputs/<name>/<date_time>."""
+    hydra = HydraConfig.get()
+    if hydra.mode == RunMode.MULTIRUN:
+        return runs.create_folder(Path(hydra.sweep.dir), str(hydra.job.num))
+    return runs.create_folder(Path(config.paths.outputs) / config.name, runs.now())
+
+
+def _begin(folder: Path, config: DictConfig) -> Run:
+    config.paths.run = str(folder)
+    config.choices = group_choices()
+    runs.write_text(folder / runs.COMPOSED, OmegaConf.to_yaml(config))
+    runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
+    if HydraConfig.get().mode != RunMode.MULTIRUN:
+        runs.point_latest(folder)
+    return Run(folder, config, None)
+
+
+def group_choices() -> list[str]:
+    """The overrides of this command line that choose a group's option, e.g. "+experiment=chair_unet"."""
+    groups = {group.partition("@")[0] for group in HydraConfig.get().runtime.choices}
+    overrides = HydraConfig.get().overrides.task
+    return [text for text in overrides if re.split("[=@]", text.lstrip("+~"))[0] in groups]
+
+
+def _existing(config: DictConfig) -> Path:
+    """The folder of the run to go on with."""
+    if config.ckpt_path:
+        path = Path(config.ckpt_path)
+        if not path.is_file():
+            raise UserError(f"ckpt_path: got {path}, but there is no such file")
+        folder = path.resolve().parent.parent
+        if not (folder / runs.COMPOSED).is_file():
+            raise UserError(
+                f"ckpt_path: got {path}, which lies in no run's folder ({folder / runs.COMPOSED} is missing); to use "
+                f"its weights: python -m imagination.evaluate ckpt={path}"
+            )
+        return folder
+    if config.resume != "latest":
+        raise UserError(f"resume: got {config.resume!r}, expected latest; name a checkpoint with ckpt_path=…")
+    experiment = config.name if "experiment" in HydraConfig.get().runtime.choices else None
+    return runs.find_latest(Path(config.paths.outputs), experiment)
+
+
+def _go_on(folder: Path, config: DictConfig) -> Run:
+    """The run in `folder` with its own config, and what may be changed of it."""
+    overrides = list(HydraConfig.get().overrides.task)
+    allowed = ("resume=", "ckpt_path=", "experiment=", *MAY_CHANGE)
+    if refused := [text for text in overrides if not text.lstrip("+").startswith(allowed)]:
+        raise UserError(
+            f"resume: got {' '.join(refused)}, but a run goes on with its own config; only "
+            f"{', '.join(MAY_CHANGE)} may change"
+        )
+    saved = _read(folder / runs.COMPOSED)
+    if "experiment" in HydraConfig.get().runtime.choices and config.name != saved.name:
+        raise UserError(f"resume: got the experiment {config.name!r}, but the run in {folder} is of {saved.name!r}")
+    changes = [text.lstrip("+") for text in overrides if text.lstrip("+").startswith(MAY_CHANGE)]
+    for key in (text.partition("=")[0] for text in changes):
+        OmegaConf.update(saved, key, OmegaConf.select(config, key))
+    saved.paths.run = str(folder)
+    checkpoint = Path(config.ckpt_path) if config.ckpt_path else folder / runs.LAST
+    if not checkpoint.is_file():
+        log.warning("%s: no round was finished, so the run begins anew with its own config", folder)
+        return Run(folder, saved, None)
+    return Run(folder, saved, checkpoint)
+
+
+def _read(path: Path) -> DictConfig:
+    """A run's composed config, checked."""
+    try:
+        saved = OmegaConf.load(path)
+        assert isinstance(saved, DictConfig)
+        OmegaConf.set_struct(saved, True)
+        validate(saved)
+        check_targets(saved)
+    except (YAMLError, OmegaConfBaseException, AssertionError, UnicodeDecodeError) as error:
+        raise UserError(f"config {path}: is truncated or damaged ({error}); start a new run") from error
+    return saved
+
+
+def _pressed(stop: BaseException) -> bool:
+    """Whether Ctrl-C is behind it: Lightning turns it into SystemExit."""
+    return isinstance(stop, KeyboardInterrupt) or isinstance(stop.__context__, KeyboardInterrupt)

@@ -1,0 +1,156 @@
+"""Run folders: made exclusively, locked while in use, each file written whole or not at all."""
+
+import fcntl
+import logging
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from errno import EDQUOT, ENOSPC
+from pathlib import Path
+
+from rich.logging import RichHandler
+
+from imagination.errors import UserError
+from imagination.progress import console
+
+CONFIG = "config.yaml"
+"""The resolved config, for people and tables."""
+
+COMPOSED = "composed.yaml"
+"""The same with its references, from which a run goes on (its folder may have moved since)."""
+
+LAST = Path("checkpoints") / "last.ckpt"
+BEST = Path("checkpoints") / "best.ckpt"
+
+STAMP = "%Y-%m-%d_%H-%M-%S"
+
+
+def check_name(name: str) -> str:
+    """Return the name of an experiment if it can be a folder's.
+
+    Raises:
+        UserError: if it cannot, or is one that the program uses itself.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name) or name in ("default", "cache", "latest"):
+        raise UserError(
+            f"name: got {name!r}, expected letters, digits and _ . + - (and not default, cache or latest)"
+        )
+    return name
+
+
+def create_folder(parent: Path, name: str) -> Path:
+    """Make a new folder that nobody else has: parent/name, or with _1, _2 … where that exists."""
+    parent.mkdir(parents=True, exist_ok=True)
+    for number in range(10_000):
+        folder = parent / (f"{name}_{number}" if number else name)
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        return folder
+    raise UserError(f"run folder: got 10,000 of the name {name} in {parent}; remove some")
+
+
+def point_latest(folder: Path) -> None:
+    """Let `latest` beside a run folder point to it, in one step."""
+    with replacing(folder.parent / "latest") as temporary:
+        temporary.symlink_to(folder.name)
+
+
+def find_latest(outputs: Path, name: str | None) -> Path:
+    """The newest run folder of an experiment, or of all of them.
+
+    Raises:
+        UserError: if there is none.
+    """
+    links = sorted(outputs.glob(f"{name or '*'}/latest"))
+    folders = [link.resolve() for link in links if (link / COMPOSED).is_file()]
+    if not folders:
+        wanted = f"the experiment {name!r}" if name else "any experiment"
+        raise UserError(f"resume=latest: found no run of {wanted} in {outputs.resolve()}; start one without resume")
+    return max(folders, key=lambda folder: (folder.name, folder.parent.name))
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a run folder; the lock goes with the process, however it ends.
+
+    Raises:
+        UserError: if another process holds it.
+    """
+    with open(folder / ".lock", "a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise UserError(f"run {folder}: another process is working on it; wait for it or stop it") from error
+        yield
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary name beside `path`; what is written there takes `path`'s place at the end, on an error nothing does.
+
+    Raises:
+        UserError: if the disk is full.
+    """
+    with full_disk_reported(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        temporary = scratch / path.name
+        try:
+            yield temporary
+            if temporary.is_file() and not temporary.is_symlink():
+                with open(temporary, "rb") as file:
+                    os.fsync(file.fileno())  # else a crash of the machine may leave an empty file
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+            scratch.rmdir()
+
+
+@contextmanager
+def full_disk_reported(path: Path) -> Iterator[None]:
+    """Turn a full disk into an error that says where and what to do."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (ENOSPC, EDQUOT):
+            raise
+        raise UserError(
+            f"disk full: could not write {path}; free some space or set paths.outputs and paths.cache to another "
+            "disk, then go on with resume=latest"
+        ) from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(text)
+
+
+def now() -> str:
+    """The time as run folders carry it."""
+    return datetime.now().strftime(STAMP)
+
+
+@contextmanager
+def logging_to(file: Path) -> Iterator[None]:
+    """Send messages to the screen and, with their time, to a file."""
+    screen = RichHandler(console=console, show_path=False, show_time=False, show_level=False)
+    if not console.is_terminal:  # lines are for other programs then: never wrapped
+        screen = logging.StreamHandler()  # type: ignore[assignment]
+    screen.setFormatter(logging.Formatter("%(message)s"))
+    record = logging.FileHandler(file)
+    record.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    root = logging.getLogger()
+    before = root.handlers[:], root.level
+    root.handlers, root.level = [screen, record], logging.INFO
+    logging.captureWarnings(True)
+    try:
+        yield
+    finally:
+        root.handlers, root.level = before
+        record.close()

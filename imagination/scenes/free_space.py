@@ -1,0 +1,175 @@
+"""Free space from the mesh: the floor, less everything a robot would touch, as one connected part."""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+
+from imagination.compiled import compiled
+from imagination.errors import UserError, check_range
+from imagination.geometry.grid import MAX_CELLS, Grid
+from imagination.scenes.scene import FreeSpace, Mesh
+
+MAX_SLOPE = 0.2
+"""Steepest floor: horizontal share of the unit normal (11 degrees)."""
+
+
+def free_space(
+    mesh: Mesh,
+    floor_height: float,
+    robot_radius: float,
+    resolution: float = 0.05,
+    clearance: tuple[float, float] = (0.05, 1.5),
+) -> FreeSpace:
+    """Where the centre of a round robot may stand.
+
+    A cell is free if its centre lies on a floor triangle and no part of the mesh between the two heights of `clearance`
+    comes closer to it than the robot's radius. Of what is free, the largest part connected through the sides of
+    cells is kept, which leaves out the insides of furniture and rooms without an open door.
+
+    Args:
+        mesh: of the whole scene.
+        floor_height: world z of the floor, metres.
+        robot_radius: metres.
+        resolution: of the grid returned, metres.
+        clearance: heights above the floor; what is lower is driven over, what is higher is passed under.
+
+    Raises:
+        UserError: if the mesh has no floor at that height, or nothing of it is free.
+    """
+    check_range("robot_radius", robot_radius, 0.0, 5.0, "m")
+    check_range("free space's resolution", resolution, 0.005, 1.0, "m")
+    low, high = clearance
+    check_range("clearance", high, max(low, 0.0), 10.0, "m (the upper height, above the lower one)", open_low=True)
+    corners = mesh.vertices[mesh.faces]
+    floor = corners[_is_floor(corners, floor_height, low)]
+    if len(floor) == 0:
+        raise UserError(
+            f"free space: found no horizontal triangle within {low} m of the floor at {floor_height} m; "
+            "check the scene's floor height and that z points up"
+        )
+    grid = _grid_around(floor, resolution)
+    on_floor, blocked = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool)
+    origin = np.array(grid.origin)
+    _mark(floor, origin, resolution, -np.inf, np.inf, True, on_floor)
+    _mark(corners, origin, resolution, floor_height + low, floor_height + high, False, blocked)
+    free = _largest_part(on_floor & _clear_of(blocked, robot_radius / resolution))
+    if not free.any():
+        raise UserError(
+            f"free space: a robot of radius {robot_radius} m fits nowhere on the {on_floor.sum() * resolution**2:.1f} m2 "
+            "of floor; choose a smaller radius or another scene"
+        )
+    return FreeSpace(grid, free)
+
+
+def _is_floor(corners: Float32[np.ndarray, "m 3 3"], floor_height: float, tolerance: float) -> Bool[np.ndarray, " m"]:
+    """Which triangles are level and lie within `tolerance` of the floor's height."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    level = np.hypot(normal[:, 0], normal[:, 1]) <= MAX_SLOPE * np.abs(normal[:, 2])
+    solid = normal[:, 2] != 0
+    return level & solid & (np.abs(corners[..., 2] - floor_height) <= tolerance).all(axis=1)
+
+
+def _grid_around(floor: Float32[np.ndarray, "m 3 3"], resolution: float) -> Grid:
+    low, high = floor[..., :2].min(axis=(0, 1)).astype(float), floor[..., :2].max(axis=(0, 1)).astype(float)
+    columns, rows = np.maximum(np.ceil((high - low) / resolution - 1e-4), 1).tolist()
+    if not max(columns, rows) <= MAX_CELLS:
+        raise UserError(
+            f"free space: the floor reaches from {low} to {high} m, expected at most {MAX_CELLS} cells of "
+            f"{resolution} m a side; check that the scene is in metres"
+        )
+    return Grid(resolution, int(rows), int(columns), (float(low[0]), float(low[1])))
+
+
+def _clear_of(blocked: Bool[np.ndarray, "h w"], radius: float) -> Bool[np.ndarray, "h w"]:
+    """Cells whose centre is `radius` cells or more from anything in a blocked cell."""
+    distance = cv2.distanceTransform((~blocked).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    half_diagonal = np.sqrt(0.5)  # an obstacle may touch the nearest corner of its cell
+    return ~blocked & (distance >= radius + half_diagonal)
+
+
+def _largest_part(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    if len(stats) == 1:
+        return mask
+    return labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+
+
+@compiled
+def _mark(
+    corners: Float32[np.ndarray, "m 3 3"],
+    origin: Float64[np.ndarray, "2"],
+    resolution: float,
+    low: float,
+    high: float,
+    by_centre: bool,
+    out: Bool[np.ndarray, "h w"],
+) -> None:
+    """Mark the cells under each triangle's part between the heights `low` and `high`.
+
+    A cell is marked if the part, seen from above, holds its centre (`by_centre`) or touches it anywhere.
+    """
+    rows, columns = out.shape
+    polygon, spare = np.empty((8, 3)), np.empty((8, 3))
+    reach = 1e-6 if by_centre else 0.5  # half the side of the square that must touch the part
+    for index in range(corners.shape[0]):
+        for k in range(3):
+            for axis in range(3):
+                polygon[k, axis] = corners[index, k, axis]
+        count = _clip(polygon, 3, spare, low, 1.0)
+        count = _clip(spare, count, polygon, -high, -1.0)
+        if count == 0:
+            continue
+        for k in range(count):  # to cells: x grows with the column, y against the row
+            polygon[k, 0] = (polygon[k, 0] - origin[0]) / resolution
+            polygon[k, 1] = (polygon[k, 1] - origin[1]) / resolution
+        first_x = max(int(np.floor(polygon[:count, 0].min() - 0.5)), 0)
+        last_x = min(int(np.floor(polygon[:count, 0].max() + 0.5)), columns - 1)
+        first_y = max(int(np.floor(polygon[:count, 1].min() - 0.5)), 0)
+        last_y = min(int(np.floor(polygon[:count, 1].max() + 0.5)), rows - 1)
+        for y in range(first_y, last_y + 1):
+            for x in range(first_x, last_x + 1):
+                if not out[rows - 1 - y, x] and _touches(polygon, count, x + 0.5, y + 0.5, reach):
+                    out[rows - 1 - y, x] = True
+
+
+@compiled
+def _clip(
+    polygon: Float64[np.ndarray, "8 3"], count: int, out: Float64[np.ndarray, "8 3"], bound: float, sign: float
+) -> int:
+    """Keep the part of a convex polygon where sign * z >= bound (Sutherland and Hodgman); returns its corners' number."""
+    kept = 0
+    for k in range(count):
+        here, there = polygon[k], polygon[(k + 1) % count]
+        above_here, above_there = sign * here[2] - bound, sign * there[2] - bound
+        if above_here >= 0:
+            out[kept] = here
+            kept += 1
+        if (above_here > 0 and above_there < 0) or (above_here < 0 and above_there > 0):
+            share = above_here / (above_here - above_there)
+            out[kept] = here + share * (there - here)
+            kept += 1
+    return kept
+
+
+@compiled
+def _touches(polygon: Float64[np.ndarray, "8 3"], count: int, x: float, y: float, reach: float) -> bool:
+    """Whether a convex polygon, seen from above, touches the square of half side `reach` around (x, y).
+
+    By separating axes: the square's two and the normal of each edge; holds for polygons seen edge-on too.
+    """
+    for axis in range(2):
+        centre = x if axis == 0 else y
+        if polygon[:count, axis].min() > centre + reach or polygon[:count, axis].max() < centre - reach:
+            return False
+    for k in range(count):
+        here, there = polygon[k], polygon[(k + 1) % count]
+        normal_x, normal_y = there[1] - here[1], here[0] - there[0]
+        half = reach * (abs(normal_x) + abs(normal_y))
+        centre = normal_x * x + normal_y * y
+        low, high = np.inf, -np.inf
+        for other in range(count):
+            value = normal_x * polygon[other, 0] + normal_y * polygon[other, 1]
+            low, high = min(low, value), max(high, value)
+        if low > centre + half or high < centre - half:
+            return False
+    return True

@@ -1,0 +1,165 @@
+"""Closed triangle shapes that furniture is made of; every face turns counter-clockwise seen from outside."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+Point = Sequence[float]
+Outline = Float[np.ndarray, "n 2"]
+
+
+class Solid(NamedTuple):
+    """A closed surface: vertices in metres and triangles as rows of three vertex numbers."""
+
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"]
+
+    def moved(self, at: Point = (0.0, 0.0, 0.0), yaw: float = 0.0, tilt: float = 0.0) -> "Solid":
+        """The same shape tilted about x (positive leans the top back, to -y), turned about z, then moved."""
+        cos_t, sin_t, cos_y, sin_y = np.cos(tilt), np.sin(tilt), np.cos(yaw), np.sin(yaw)
+        lean = np.array([[1.0, 0.0, 0.0], [0.0, cos_t, -sin_t], [0.0, sin_t, cos_t]])
+        turn = np.array([[cos_y, -sin_y, 0.0], [sin_y, cos_y, 0.0], [0.0, 0.0, 1.0]])
+        return Solid(self.vertices @ (turn @ lean).T + np.asarray(at, np.float64), self.faces)
+
+
+def _bands(rings: int, around: int) -> Int[np.ndarray, "m 3"]:
+    """Triangles between successive closed rings of `around` vertices each; the rings climb, counter-clockwise."""
+    ring, step = np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij")
+    low, low_next = ring * around + step, ring * around + (step + 1) % around
+    quads = np.stack([low, low_next, low_next + around, low + around], axis=-1).reshape(-1, 4)
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def loft(rings: Float[np.ndarray, "k n 3"]) -> Solid:
+    """Surface through `k` rings of `n` points, both ends closed by fans around their mean points."""
+    count, around = rings.shape[:2]
+    ends = np.stack([rings[0].mean(axis=0), rings[-1].mean(axis=0)])
+    vertices = np.concatenate([rings.reshape(-1, 3), ends])
+    step = np.arange(around)
+    after, last = (step + 1) % around, (count - 1) * around
+    bottom = np.stack([after, step, np.full(around, count * around)], axis=-1)
+    top = np.stack([last + step, last + after, np.full(around, count * around + 1)], axis=-1)
+    return Solid(vertices, np.concatenate([_bands(count, around), bottom, top]))
+
+
+def prism(outline: Outline, low: float, high: float) -> Solid:
+    """An outline (counter-clockwise, seen whole from its mean point) drawn up from height `low` to `high`."""
+    return loft(np.stack([np.column_stack([outline, np.full(len(outline), z)]) for z in (low, high)]))
+
+
+def rectangle(width: float, depth: float) -> Outline:
+    """Outline of a rectangle centred on the origin."""
+    return np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * [width / 2, depth / 2]
+
+
+def ellipse(width: float, depth: float, segments: int = 32) -> Outline:
+    """Outline of an ellipse centred on the origin."""
+    angle = np.linspace(0, 2 * np.pi, segments, endpoint=False)
+    return np.column_stack([np.cos(angle) * width / 2, np.sin(angle) * depth / 2])
+
+
+def rounded(width: float, depth: float, radius: float, segments: int = 4) -> Outline:
+    """Outline of a rectangle with round corners centred on the origin."""
+    quarter = np.linspace(0, np.pi / 2, segments + 1)
+    corners = [((1, -1), -np.pi / 2), ((1, 1), 0.0), ((-1, 1), np.pi / 2), ((-1, -1), np.pi)]
+    reach = np.array([width / 2 - radius, depth / 2 - radius])
+    arcs = [
+        np.array(sign) * reach + radius * np.column_stack([np.cos(quarter + turn), np.sin(quarter + turn)])
+        for sign, turn in corners
+    ]
+    return np.concatenate(arcs)
+
+
+def box(width: float, depth: float, height: float) -> Solid:
+    """A box standing on the origin."""
+    x, y = width / 2, depth / 2
+    vertices = np.array([[sx * x, sy * y, z] for z in (0.0, height) for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    quads = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    return Solid(vertices, np.array([half for a, b, c, d in quads for half in ((a, b, c), (a, c, d))]))
+
+
+def cushion(width: float, depth: float, height: float, radius: float, puff: float = 0.0, steps: int = 2) -> Solid:
+    """A box with round edges standing on the origin, whose top swells by `puff` metres in the middle."""
+    half = np.array([width, depth, height]) / 2
+    radius = min(radius, *(half * 0.98))
+    arc = radius * np.tan(np.linspace(np.pi / 4, 0, steps + 1))
+    axes = []
+    for reach in half:
+        inner = reach - radius
+        middle = np.linspace(-inner, inner, 5)[1:-1] if puff else np.zeros(0)
+        axes.append(np.concatenate([-inner - arc, middle, inner + arc[::-1]]))
+    vertices, faces, start = [], [], 0
+    for axis in range(3):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        a, b = np.meshgrid(axes[first], axes[second], indexing="ij")
+        rows, columns = a.shape
+        i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
+        corner = (i * columns + j).ravel()
+        quads = np.stack([corner, corner + columns, corner + columns + 1, corner + 1], axis=-1)
+        for sign in (1.0, -1.0):
+            points = np.zeros((rows * columns, 3))
+            points[:, axis], points[:, first], points[:, second] = sign * half[axis], a.ravel(), b.ravel()
+            core = np.clip(points, -(half - radius), half - radius)
+            outward = points - core
+            points = core + radius * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+            turned = quads if sign > 0 else quads[:, ::-1]
+            vertices.append(points)
+            faces += [start + turned[:, [0, 1, 2]], start + turned[:, [0, 2, 3]]]
+            start += len(points)
+    merged = np.concatenate(vertices)
+    swell = (1 - (merged[:, 0] / half[0]) ** 2) * (1 - (merged[:, 1] / half[1]) ** 2) * (merged[:, 2] > 0)
+    merged[:, 2] += half[2] + puff * swell
+    return Solid(merged, np.concatenate(faces))
+
+
+def lathe(profile: Sequence[tuple[float, float]], segments: int = 20) -> Solid:
+    """A profile of (radius, height) pairs, bottom to top, turned around z."""
+    angle = np.linspace(0, 2 * np.pi, segments, endpoint=False)
+    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(segments)])
+    return loft(np.stack([circle * radius + [0.0, 0.0, height] for radius, height in profile]))
+
+
+def tube(path: Sequence[Point], radius: float | Sequence[float], sides: int = 8) -> Solid:
+    """A round bar along a path of points; `radius` may be given for each point, for tapered legs."""
+    points = np.asarray(path, np.float64)
+    ahead = np.diff(points, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    tangent = np.concatenate([ahead[:1], ahead[:-1] + ahead[1:], ahead[-1:]])
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    side = np.cross(tangent[0], [0.0, 1.0, 0.0] if abs(tangent[0][1]) < 0.9 else [1.0, 0.0, 0.0])
+    # half a step of turn gives four-sided bars faces that look along the axes
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False) + np.pi / sides
+    radii = np.broadcast_to(np.asarray(radius, np.float64), len(points))
+    rings = []
+    for point, direction, reach in zip(points, tangent, radii, strict=True):
+        side = side - (side @ direction) * direction  # carried along the path so that the bar does not twist
+        side /= np.linalg.norm(side)
+        across = np.cross(direction, side)
+        rings.append(point + reach * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * across))
+    return loft(np.stack(rings))
+
+
+def bent(corners: Sequence[Point], radius: float, segments: int = 4) -> list[Point]:
+    """The path through `corners` with its inner corners rounded, for tubes."""
+    points = [np.asarray(corner, np.float64) for corner in corners]
+    path: list[Point] = [points[0]]
+    for before, corner, after in zip(points, points[1:], points[2:], strict=False):
+        reach = min(radius, *(np.linalg.norm(end - corner) / 2.01 for end in (before, after)))
+        start = corner + reach * (before - corner) / np.linalg.norm(before - corner)
+        stop = corner + reach * (after - corner) / np.linalg.norm(after - corner)
+        share = np.linspace(0, 1, segments + 1)[:, None]
+        path += list((1 - share) ** 2 * start + 2 * share * (1 - share) * corner + share**2 * stop)
+    return [*path, points[-1]]
+
+
+def sheet(points: Float[np.ndarray, "r c 3"], thickness: float) -> Solid:
+    """A curved board: a grid of points is its front, its back lies `thickness` behind (along -(d_c x d_r))."""
+    across = np.gradient(points, axis=1)
+    along = np.gradient(points, axis=0)
+    normal = np.cross(across, along)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    # every row becomes a ring: along the front, then back along the rear; the rows are lofted
+    rings = np.concatenate([points[:, ::-1], points - thickness * normal], axis=1)
+    return loft(rings)

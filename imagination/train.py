@@ -1,0 +1,101 @@
+"""Train a unit and evaluate it: `python -m imagination.train +experiment=chair_unet`."""
+
+from __future__ import annotations
+
+import logging
+import resource
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig, OmegaConf
+
+from imagination import runs
+from imagination.config import command
+from imagination.progress import shares, stage
+from imagination.resume import Run, opened
+
+if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does without
+    from lightning import LightningDataModule, LightningModule, Trainer
+
+log = logging.getLogger(__name__)
+
+
+@command("train")
+def main(config: DictConfig) -> None:
+    with opened(config) as run:
+        log.info("Run folder: %s\nWatch it: tensorboard --logdir %s", run.folder, run.folder.parent)
+        train(run)
+        log.info("%s", summary(run))
+
+
+def train(run: Run) -> None:
+    """Build everything that the config names, fit, evaluate on homes that training never saw."""
+    model, data, trainer = build(run.config)
+    try:
+        with stage("homes and truth"):
+            data.setup("fit")
+        with stage("training"):
+            trainer.fit(model, datamodule=data, ckpt_path=run.checkpoint, weights_only=True)
+        with stage("homes and truth"):
+            data.setup("test")
+        with stage("evaluation"):
+            trainer.test(model, datamodule=data, ckpt_path=best(run), verbose=False, weights_only=True)
+    finally:
+        data.close()
+    record_hyperparameters(trainer, run.config)
+
+
+def build(config: DictConfig) -> tuple[LightningModule, LightningDataModule, Trainer]:
+    """Model, data and trainer with its callbacks and logger."""
+    from hydra.utils import instantiate
+    from lightning import seed_everything
+
+    from imagination.checkpoints import CheckpointFiles, ConfigInCheckpoint
+
+    seed_everything(config.seed, verbose=False)
+    model = instantiate(config.model.module)
+    data = instantiate(config.data.module)
+    callbacks = [ConfigInCheckpoint(config), *(instantiate(node) for node in config.callbacks.values())]
+    trainer = instantiate(
+        config.trainer, callbacks=callbacks, logger=instantiate(config.logger), plugins=[CheckpointFiles()]
+    )
+    return model, data, trainer
+
+
+def best(run: Run) -> Path | None:
+    """The checkpoint to evaluate: the best one on validation homes; None, the weights in memory, if none was kept."""
+    path = run.folder / runs.BEST
+    return path if path.is_file() else None
+
+
+def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
+    """Show the run's settings beside its final figures in TensorBoard."""
+    nodes = ("name", "seed", "unit_categories", "scale", "kernels", "aggregation_factor", "obstacles")
+    settings = OmegaConf.to_container(OmegaConf.masked_copy(config, list(nodes)), resolve=True)
+    if trainer.logger is not None:
+        trainer.logger.log_hyperparams(settings, {name: float(x) for name, x in trainer.callback_metrics.items()})
+        trainer.logger.save()
+
+
+def summary(run: Run) -> str:
+    """Where the time went, the memory taken, where everything lies and what to do with it."""
+    seconds = shares.report()
+    parts = ", ".join(f"{name} {value:.0f} s ({value / seconds['total']:.0%})" for name, value in seconds.items())
+    lines = [f"Time: {parts}", f"Peak memory: at most {peak_memory(run.config.scale.workers):.1f} GB"]
+    lines.append(f"Results: {run.folder}/ (tables/, figures/, checkpoints/, tensorboard/)")
+    kept = best(run) or run.folder / runs.LAST
+    if kept.is_file():
+        lines.append(f"Evaluate again: python -m imagination.evaluate ckpt={kept}")
+    return "\n".join(lines)
+
+
+def peak_memory(workers: int) -> float:
+    """Upper bound of the memory in use at once, GB: this process's peak and, for each worker, the largest one's."""
+    unit = 1e9 if sys.platform == "darwin" else 1e6  # bytes there, kilobytes on Linux
+    own, largest = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return (own + workers * largest) / unit
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""The paper's weighted binary cross-entropy (section III-B), on logits."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int64, UInt8
+from torch import Tensor, distributed
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+
+class Weights(NamedTuple):
+    """Weights of cells, one of each for every category.
+
+    Attributes:
+        alpha: w_α, of the cells of the label.
+        gamma: w_γ, of the cells around the seen part of an object that are not label.
+    """
+
+    alpha: Float[Tensor, " c"]
+    gamma: Float[Tensor, " c"]
+
+
+def imagination_loss(
+    logits: Float[Tensor, "b c v v"],
+    label: UInt8[Tensor, "b c v v"],
+    neighbourhood: UInt8[Tensor, "b c v v"],
+    alpha_max: float = 30.0,
+    gamma_max: float = 10.0,
+) -> tuple[Float[Tensor, ""], Weights]:
+    """Weighted cross-entropy between the imagined map and V_label.
+
+    With p = σ(logits) for V_object, the paper's equations, for each category by itself:
+
+        w_α  = min(N / (#{V_label > 0} + 1), alpha_max)
+        w_γ  = min(N / (#{M*_seen > 0 and V_label = 0} + 1), gamma_max)
+        W_α  = w_α - 1 where V_label > 0, else 0
+        W_γ  = w_γ - 1 where M*_seen > 0 and V_label = 0, else 0
+        W    = W_α + W_γ + 1
+        L    = mean over the batch of Σ_ij -W_ij (V_label log p + (1 - V_label) log(1 - p))
+
+    The paper leaves open, and we settled:
+
+    - N and both counts are taken over the whole batch, "a large batch size is more beneficial to obtain a stable
+      weight matrix", and over all ranks where training is distributed: N = B V^2 for B views on all of them.
+    - The paper's "number of occupied cells" in w_γ is the number of cells that W_γ weighs.
+    - The sum runs over the V^2 cells of a view, and the mean over the batch's views.
+    - Categories that share a network add up, as the losses of their units would.
+
+    Args:
+        logits: of the unit.
+        label: V_label, 0 or 1.
+        neighbourhood: M*_seen made from the truth, 0 or 1.
+        alpha_max, gamma_max: caps of the weights; 1 switches a weight off.
+
+    Returns:
+        The loss, whose gradients average over ranks to those of the whole batch, and the weights.
+    """
+    positive = label > 0
+    around = (neighbourhood > 0) & ~positive
+    batch, categories, rows, columns = label.shape
+    views = label.new_full((categories,), batch, dtype=torch.long)
+    views, positives, arounds = sum_over_ranks(torch.stack([views, count(positive), count(around)])).unbind()
+    cells = views * rows * columns
+    weights = Weights((cells / (positives + 1)).clamp(max=alpha_max), (cells / (arounds + 1)).clamp(max=gamma_max))
+    alpha, gamma = (weight.view(-1, 1, 1) - 1 for weight in weights)
+    weight = alpha * positive + gamma * around + 1
+    total = binary_cross_entropy_with_logits(logits.float(), positive.float(), weight, reduction="sum")
+    # each rank divides by its share of all views, so that the mean over ranks is the mean over views
+    return total * ranks() / views[0], weights
+
+
+def count(mask: Bool[Tensor, "b c v v"]) -> Int64[Tensor, " c"]:
+    """Cells of a mask over the whole batch, by category."""
+    return mask.sum(dim=(0, 2, 3))
+
+
+def ranks() -> int:
+    """How many processes train together."""
+    return distributed.get_world_size() if distributed.is_available() and distributed.is_initialized() else 1
+
+
+def sum_over_ranks(counts: Tensor) -> Tensor:
+    """The sum of a tensor without gradients over all processes that train together."""
+    if ranks() > 1:
+        distributed.all_reduce(counts)
+    return counts

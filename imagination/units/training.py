@@ -1,0 +1,128 @@
+"""Training of a unit with Lightning; the unit itself knows nothing of it."""
+
+from collections.abc import Callable, Mapping
+from time import perf_counter
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from lightning import LightningModule
+from torch import Tensor, nn
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+from imagination.errors import check_range
+from imagination.geometry.grid import EgoGrid
+from imagination.geometry.morphology import kernel_cells
+from imagination.units.loss import imagination_loss, ranks
+from imagination.units.metrics import EgoScores
+
+Batch = Mapping[str, Tensor]
+"""rgb uint8 (B, 3, H, W); depth float16 (B, 1, H, W), metres; occupied and seen uint8 (B, 1, V, V); label and
+neighbourhood (M*_seen made from the truth) uint8 (B, C, V, V). Further entries are left alone."""
+
+
+class UnitTraining(LightningModule):
+    """Trains a unit with the paper's loss and scores its egocentric maps.
+
+    Args:
+        unit: the network: rgb, depth, occupied, seen to logits; has `categories`.
+        ego: grid of the maps.
+        neighbourhood: side of the kernel ε of M*_seen, metres.
+        optimizer: makes the optimiser, given parameters.
+        scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
+        alpha_max, gamma_max: caps of the loss's weights.
+        threshold: of the imagined map, for scores.
+        valid_threshold: τ_valid, for M*_seen after prediction.
+
+    Raises:
+        UserError: if a cap or a threshold is out of range.
+    """
+
+    def __init__(
+        self,
+        unit: nn.Module,
+        ego: EgoGrid,
+        neighbourhood: float,
+        optimizer: Callable[..., Optimizer],
+        scheduler: Callable[..., LRScheduler],
+        alpha_max: float = 30.0,
+        gamma_max: float = 10.0,
+        threshold: float = 0.5,
+        valid_threshold: float = 0.5,
+    ) -> None:
+        super().__init__()
+        self.unit = unit
+        self.optimizer = optimizer
+        self.scheduler = scheduler
+        self.alpha_max = check_range("model.module.alpha_max", alpha_max, 1, 10_000)
+        self.gamma_max = check_range("model.module.gamma_max", gamma_max, 1, 10_000)
+        check_range("model.module.threshold", threshold, 0, 1)
+        check_range("model.module.valid_threshold", valid_threshold, 0, 1)
+        kernel = kernel_cells(neighbourhood, ego.resolution)
+        scores = EgoScores(unit.categories, kernel, threshold, valid_threshold)
+        self.scores = nn.ModuleDict({"val": scores, "test": scores.clone()})
+        self._batch_start = 0.0
+
+    def forward(self, batch: Batch) -> Float[Tensor, "b c v v"]:
+        """Logits for a batch."""
+        logits: Tensor = self.unit(batch["rgb"], batch["depth"], batch["occupied"], batch["seen"])
+        return logits
+
+    @torch.no_grad()
+    def predict(self, batch: Batch) -> Float[Tensor, "b c v v"]:
+        """Probabilities of V_object for a batch on any device, as in evaluation mode and in single precision."""
+        training = self.training
+        self.eval()
+        probabilities = self({name: tensor.to(self.device) for name, tensor in batch.items()}).float().sigmoid()
+        self.train(training)
+        return probabilities
+
+    def training_step(self, batch: Batch, index: int) -> Tensor:
+        loss, weights = imagination_loss(
+            self(batch), batch["label"], batch["neighbourhood"], self.alpha_max, self.gamma_max
+        )
+        values = {
+            "loss": loss,
+            "w_alpha": weights.alpha.mean(),
+            "w_gamma": weights.gamma.mean(),
+            "empty_labels": (batch["label"].amax(dim=(2, 3)) == 0).float().mean(),
+            "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"],
+        }
+        self.log_dict({f"train/{name}": value for name, value in values.items()}, batch_size=len(batch["label"]))
+        return loss
+
+    def on_train_batch_start(self, batch: Batch, index: int) -> None:
+        self._batch_start = perf_counter()
+
+    def on_train_batch_end(self, outputs: object, batch: Batch, index: int) -> None:
+        samples = len(batch["label"]) * ranks()
+        self.log("train/samples_per_second", samples / (perf_counter() - self._batch_start))
+
+    def validation_step(self, batch: Batch, index: int) -> None:
+        self._score(batch, "val")
+
+    def test_step(self, batch: Batch, index: int) -> None:
+        self._score(batch, "test")
+
+    def on_validation_epoch_end(self) -> None:
+        self._log_scores("val")
+
+    def on_test_epoch_end(self) -> None:
+        self._log_scores("test")
+
+    def configure_optimizers(self) -> Any:  # Lightning's own type for this is a union of many
+        optimizer = self.optimizer(self.parameters())
+        return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer)}
+
+    def _score(self, batch: Batch, stage: str) -> None:
+        logits = self(batch).float()
+        loss, _ = imagination_loss(logits, batch["label"], batch["neighbourhood"], self.alpha_max, self.gamma_max)
+        self.log(f"{stage}/loss", loss, batch_size=len(logits), sync_dist=True)
+        self.scores[stage].update(logits.sigmoid(), batch["label"], batch["seen"])
+
+    def _log_scores(self, stage: str) -> None:
+        """Log the scores of all ranks and begin anew."""
+        scores = self.scores[stage]
+        self.log_dict({f"{stage}/{name}": value for name, value in scores.compute().items()})
+        scores.reset()

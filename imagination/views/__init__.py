@@ -1,0 +1,1 @@
+"""Looking around: poses, sparse viewpoints, single views and their collection by worker processes."""

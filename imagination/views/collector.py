@@ -1,0 +1,122 @@
+"""Collecting views for training: every view is a pure function of the seed and its place in the collection.
+
+A collection is `steps` looks in each of `parallel_scenes` scenes at once (the paper's "observations are randomly
+selected in 16 different scenes at the same time"). Nothing is carried from one collection to the next, so any of them can
+be made again, by any number of workers, in any order; those once made are kept in the cache.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from imagination.errors import UserError, check_range
+from imagination.geometry.pose import Pose
+from imagination.scenes.scene import Scene
+from imagination.views.pool import ScenePool
+from imagination.views.view import Observer, View, plain
+
+Views = dict[str, np.ndarray]
+"""Stacked views, compact: rgb uint8, depth float16, occupied, seen and object bool, pose float64."""
+
+class Stream(IntEnum):
+    """Streams of random numbers that must not meet: the second number of every seed."""
+
+    SCENE_ORDER = 0
+    TRAINING_VIEWS = 1
+    HELD_OUT_VIEWS = 2
+    BATCHES = 3
+    VIEWPOINTS = 4
+
+
+PoseSampler = Callable[[Scene, int, np.random.Generator], list[Pose]]
+
+
+def stack(views: Sequence[View]) -> Views:
+    """Views as arrays with a leading axis, depth as float16 (4 mm at 8 m)."""
+    return {
+        "rgb": np.stack([view.rgb for view in views]),
+        "depth": np.stack([view.depth for view in views]).astype(np.float16),
+        "occupied": np.stack([view.occupied for view in views]),
+        "seen": np.stack([view.seen for view in views]),
+        "object": np.stack([view.object for view in views]),
+        "pose": np.array([view.pose for view in views], np.float64),
+    }
+
+
+def concatenate(parts: Iterable[Views]) -> Views:
+    """Several stacks of views as one."""
+    stacks = list(parts)
+    return {name: np.concatenate([part[name] for part in stacks]) for name in stacks[0]}
+
+
+def look(observer: Observer, scene: str, sampler: PoseSampler, seed: Sequence[int], count: int) -> Views:
+    """`count` views of a scene from poses that `sampler` draws; the same seed gives the same views."""
+    rng = np.random.default_rng(list(seed))
+    poses = sampler(observer.scene(scene), count, rng)
+    return stack([observer.observe(scene, pose, rng) for pose in poses])
+
+
+@dataclass(frozen=True)
+class Collector:
+    """Makes collections of training views.
+
+    Attributes:
+        pool: workers that render.
+        scenes: names of the training scenes.
+        sampler: draws poses in a scene.
+        seed: of the run.
+        parallel_scenes: scenes looked at in one collection.
+        steps: looks in each of them.
+    """
+
+    pool: ScenePool
+    scenes: Sequence[str]
+    sampler: PoseSampler
+    seed: int
+    parallel_scenes: int
+    steps: int
+
+    def __post_init__(self) -> None:
+        check_range("parallel_scenes", self.parallel_scenes, 1, 4096)
+        check_range("update_interval", self.steps, 1, 10_000, "collection steps")
+        if not self.scenes:
+            raise UserError("collector: got no training scenes, expected at least one; raise scale.homes.train")
+
+    @property
+    def views_per_collection(self) -> int:
+        return self.parallel_scenes * self.steps
+
+    def start(self, index: int) -> Callable[[], Views]:
+        """Begin to make collection `index`; the function returned waits for it.
+
+        The scenes follow each other in random order, each once before any comes again.
+        """
+        slots = [self._scene_of(index * self.parallel_scenes + slot) for slot in range(self.parallel_scenes)]
+        observer = self.pool.observer
+        key = {
+            "views": {scene: observer.view_key(scene) for scene in sorted(set(slots))},
+            "slots": slots,
+            "sampler": plain(self.sampler),
+            "seed": [self.seed, index],
+            "steps": self.steps,
+        }
+        if (kept := observer.cache.load("views", key)) is not None:
+            return lambda: kept  # a collection made before, by this run or another that asks for the same views
+        parts = [
+            self.pool.submit(look, scene, self.sampler, (self.seed, Stream.TRAINING_VIEWS, index, slot), self.steps)
+            for slot, scene in enumerate(slots)
+        ]
+
+        def wait() -> Views:
+            views = concatenate(part.result() for part in parts)
+            observer.cache.store("views", key, views)
+            return views
+
+        return wait
+
+    def _scene_of(self, position: int) -> str:
+        lap, place = divmod(position, len(self.scenes))
+        order: list[int] = np.random.default_rng([self.seed, Stream.SCENE_ORDER, lap]).permutation(len(self.scenes)).tolist()
+        return self.scenes[order[place]]

@@ -1,0 +1,54 @@
+"""Where training looks: samplers of poses in a scene."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imagination.errors import check_range
+from imagination.geometry.pose import Pose
+from imagination.scenes.scene import Scene
+from imagination.views.poses import sample_poses
+
+
+@dataclass(frozen=True)
+class UniformPoses:
+    """Uniform over free space and heading (settled: the paper's units reject nothing)."""
+
+    def __call__(self, scene: Scene, count: int, rng: np.random.Generator) -> list[Pose]:
+        return sample_poses(scene.free_space, count, rng)
+
+
+@dataclass(frozen=True)
+class BalancedPoses:
+    """A share of the poses turned towards an object of one category nearby, the others uniform.
+
+    Attributes:
+        category: what to look at.
+        share: of the poses, 0 to 1.
+        distance: farthest object looked at, metres.
+        spread: half-width of the uniform error of the heading, radians.
+    """
+
+    category: str
+    share: float = 0.5
+    distance: float = 4.0
+    spread: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_range("sampler.share", self.share, 0.0, 1.0)
+        check_range("sampler.distance", self.distance, 0.0, 100.0, "m", open_low=True)
+        check_range("sampler.spread", self.spread, 0.0, np.pi, "rad")
+
+    def __call__(self, scene: Scene, count: int, rng: np.random.Generator) -> list[Pose]:
+        centres = np.array([thing.box.centre[:2] for thing in scene.of_category(self.category)])
+        poses = []
+        for pose in sample_poses(scene.free_space, count, rng):
+            turned = rng.random() < self.share  # drawn for every pose, so that the stream does not depend on the scene
+            error, choice = rng.uniform(-self.spread, self.spread), rng.random()
+            offsets = centres - np.array(pose[:2]) if len(centres) else np.empty((0, 2))
+            near = offsets[np.hypot(*offsets.T) < self.distance]
+            if turned and len(near):
+                dx, dy = near[int(choice * len(near))]
+                pose = Pose(pose.x, pose.y, float(np.arctan2(dy, dx)) + error)
+            poses.append(pose)
+        return poses

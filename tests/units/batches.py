@@ -1,0 +1,31 @@
+"""Small random batches for the tests of units."""
+
+import torch
+from torch import Tensor
+
+
+def random_batch(
+    views: int = 2, size: int = 32, cells: int = 33, categories: int = 1, height: int | None = None, seed: int = 0
+) -> dict[str, Tensor]:
+    """A batch with the types and shapes that the datamodule delivers; nothing in it fits anything else."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def bits(channels: int, share: float) -> Tensor:
+        return (torch.rand(views, channels, cells, cells, generator=generator) < share).to(torch.uint8)
+
+    image = (height or size, size)
+    label = bits(categories, 0.1)
+    return {
+        "rgb": torch.randint(0, 256, (views, 3, *image), dtype=torch.uint8, generator=generator),
+        "depth": (5 * torch.rand(views, 1, *image, generator=generator)).half(),
+        "occupied": bits(1, 0.2),
+        "seen": bits(1, 0.6),
+        "label": label,
+        "neighbourhood": label | bits(categories, 0.2),
+        "object": label | bits(categories, 0.1),
+    }
+
+
+def inputs(batch: dict[str, Tensor]) -> list[Tensor]:
+    """What a unit takes, in order."""
+    return [batch[name] for name in ("rgb", "depth", "occupied", "seen")]

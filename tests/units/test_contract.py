@@ -1,0 +1,84 @@
+"""What every unit promises, for every unit, backbone and encoder that the configuration offers."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from torch import nn
+
+from tests.units.batches import inputs, random_batch
+
+CONF = Path(__file__).parents[2] / "conf"
+VARIANTS = sorted({path.stem for path in (CONF / "model").glob("*.yaml")} - {"training"})
+BACKBONES = sorted(path.stem for path in (CONF / "model" / "backbone").glob("*.yaml"))
+ENCODERS = {
+    "resnet18": ["model/encoder=resnet18"],
+    "convnext": ["model/encoder=timm", "model.encoder.name=convnext_atto"],
+    "fixed size": ["model/encoder=timm", "model.encoder.name=deit_tiny_patch16_224"],
+}
+
+
+def build(*overrides: str) -> nn.Module:
+    """The unit as the program composes it, at the size of the tests."""
+    torch.manual_seed(0)
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        config = compose("base", ["scale=test", *overrides])
+    return instantiate(config.model.unit)
+
+
+def batch_for(**sizes: int) -> dict[str, torch.Tensor]:
+    return random_batch(**({"size": 48, "cells": 31} | sizes))
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+@pytest.mark.parametrize("backbone", BACKBONES)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_unit_fulfils_its_contract(variant: str, backbone: str, encoder: str) -> None:
+    unit = build(f"+model={variant}", f"model/backbone={backbone}", *ENCODERS[encoder])
+    batch = batch_for()
+    unit(*inputs(batch)).square().mean().backward()
+    without = [name for name, weight in unit.named_parameters() if weight.grad is None or not weight.grad.any()]
+    assert not without, f"no gradient reaches {without}"
+
+    unit.eval()
+    with torch.no_grad():
+        logits, again = unit(*inputs(batch)), unit(*inputs(batch))
+        alone = unit(*(tensor[1:] for tensor in inputs(batch)))
+    assert logits.shape == batch["label"].shape and logits.dtype == torch.float32 and logits.isfinite().all()
+    assert torch.equal(logits, again), "evaluation is not deterministic"
+    torch.testing.assert_close(logits[1:], alone, rtol=1e-4, atol=1e-4)  # views do not see each other
+
+
+@pytest.mark.parametrize("cells", [9, 33, 87, 261])
+@pytest.mark.parametrize("backbone", BACKBONES)
+def test_any_grid_will_do(backbone: str, cells: int) -> None:
+    unit = build("+model=unit", f"model/backbone={backbone}").eval()
+    batch = batch_for(cells=cells, views=1)
+    with torch.no_grad():
+        assert unit(*inputs(batch)).shape == (1, 1, cells, cells)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_images_need_not_be_square_and_categories_may_share_a_unit(variant: str) -> None:
+    unit = build(f"+model={variant}", "camera.height=40", "unit_categories=[chair,bed,table]").eval()
+    with torch.no_grad():
+        assert unit(*inputs(batch_for(height=40))).shape == (2, 3, 31, 31)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_an_untrained_unit_imagines_little(variant: str) -> None:
+    unit = build(f"+model={variant}")
+    with torch.no_grad():
+        assert unit(*inputs(batch_for(views=4))).sigmoid().mean() < 0.25
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_input_that_a_unit_declares_matters(variant: str) -> None:
+    unit = build(f"+model={variant}").eval()
+    for name in ("rgb", "occupied", "seen"):
+        batch = batch_for()
+        changed = batch | {name: 1 - batch[name]}
+        with torch.no_grad():
+            assert not torch.equal(unit(*inputs(batch)), unit(*inputs(changed))), name
