@@ -1,8 +1,8 @@
 """A cache on disk of what takes long to make: dicts of arrays, found again by a hash of everything they depend on.
 
-A file is a magic line, the sha256 of the rest, and the rest: the length of a JSON header, the header (name, type and shape
-of each array) and the arrays' bytes, True and False packed eight to a byte, all compressed. A file that does not fit its
-checksum is made again. Nothing in a file is ever executed.
+A file is a magic line, the sha256 of the rest, and the rest: the length of a JSON header, the header (name, type and
+shape of each array) and the arrays' bytes, True and False packed eight to a byte, all compressed. A file that does not
+fit its checksum is made again. Nothing in a file is ever executed.
 """
 
 import errno
@@ -28,7 +28,7 @@ Arrays = dict[str, np.ndarray]
 
 MAGIC = b"imagination cache 1\n"
 VERSIONS: Mapping[str, int] = {}
-"""Version of the code that makes each kind of entry (1 if not listed); raise it when the same key would give other arrays."""
+"""Version of the code that makes each kind of entry, 1 if not listed: raise it when the same key gives other arrays."""
 
 DIGEST = hashlib.sha256().digest_size
 
@@ -72,7 +72,9 @@ class Cache:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise UserError(f"cache: cannot read {path}: {error.strerror}; remove it or set paths.cache anew") from error
+            raise UserError(
+                f"cache: cannot read {path}: {error.strerror}; remove it or set paths.cache anew"
+            ) from error
         except _DamagedError:
             log.warning("cache: %s is damaged (its checksum does not fit); it is made again", path)
             return None
@@ -137,10 +139,10 @@ def _decode(content: bytes) -> Arrays:
     arrays = {}
     for entry in json.loads(data[4:place]):
         kind, shape = np.dtype(entry["type"]), tuple(entry["shape"])
-        count = prod(shape)
-        size = -(-count // 8) if kind == bool else count * kind.itemsize
+        count, packed = prod(shape), kind.kind == "b"
+        size = -(-count // 8) if packed else count * kind.itemsize
         raw = np.frombuffer(data, np.uint8, size, place)
-        flat = np.unpackbits(raw, count=count).view(bool) if kind == bool else raw.copy().view(kind)
+        flat = np.unpackbits(raw, count=count).view(bool) if packed else raw.copy().view(kind)
         arrays[entry["name"]] = flat.reshape(shape)
         place += size
     return arrays

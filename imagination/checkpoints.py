@@ -1,7 +1,7 @@
 """Checkpoints: what a run's file holds besides weights, and how it becomes a model again.
 
-A checkpoint carries the groups chosen and plain values, never a `_target_`: what is built comes from the installed conf and
-plugins, so that a stranger's file cannot name code to run.
+A checkpoint carries the groups chosen and plain values, never a `_target_`: what is built comes from the installed
+conf and plugins, so that a stranger's file cannot name code to run.
 """
 
 import pickle
@@ -33,7 +33,7 @@ class ConfigInCheckpoint(Callback):
     """Puts the run's choices and plain values into each of its checkpoints."""
 
     def __init__(self, config: DictConfig) -> None:
-        values = _plain(OmegaConf.to_container(config, resolve=True))
+        values = plain_values(config)
         self.description = {"choices": values.pop("choices"), "values": values}
 
     def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
@@ -107,9 +107,10 @@ class Checkpoint:
                 raise UserError(f"checkpoint {self.path}: holds {text!r}; expected plain values, do not use this file")
         for text in choices:
             if not GROUP_CHOICE.fullmatch(text):
-                raise UserError(f"checkpoint {self.path}: holds {text!r}, expected a group's option; do not use this file")
+                raise UserError(f"checkpoint {self.path}: holds {text!r}, expected the choice of a group's option")
         composed = compose("train", [*choices, "paths.run=."])
-        return OmegaConf.create(_with_values(OmegaConf.to_container(composed, resolve=True), values))
+        merged: dict[str, Any] = _with_values(OmegaConf.to_container(composed, resolve=True), values)
+        return OmegaConf.create(merged)
 
     def require(self, categories: list[str], resolution: float) -> None:
         """Check that the checkpoint is of a unit for these categories and cells of this size.
@@ -142,8 +143,13 @@ class Checkpoint:
         return model.eval()
 
 
+def plain_values(config: DictConfig) -> dict[str, Any]:
+    """A config's values without what decides which code runs, and without this machine's paths."""
+    values: dict[str, Any] = _plain(OmegaConf.to_container(config, resolve=True))
+    return values
+
+
 def _plain(node: Any) -> Any:
-    """A config without what decides which code runs, and without this machine's paths."""
     if isinstance(node, dict):
         return {key: _plain(value) for key, value in node.items() if not key.startswith("_") and key != "paths"}
     return [_plain(value) for value in node] if isinstance(node, list) else node

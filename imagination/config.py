@@ -3,7 +3,8 @@
 import os
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import wraps
 from typing import Any
 
@@ -63,23 +64,37 @@ def command(config_name: str) -> Callable[[Task], Callable[[], None]]:
     def decorate(task: Task) -> Callable[[], None]:
         @wraps(task)
         def checked(config: DictConfig) -> None:
-            validate(config)
-            task(config)
+            with mistakes_told():
+                validate(config)
+                task(config)
 
         def main() -> None:
-            os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra passes errors on instead of ending the program
+            os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then passes errors on instead of ending the program
+            for plugin in plugins.discover():
+                if plugin.problem:
+                    print(f"{plugin.name} ({plugin.origin}) is left out: {plugin.problem}", file=sys.stderr)
             _register()
-            decorated = hydra.main(version_base="1.3", config_path=str(plugins.core_conf()), config_name=config_name)
-            try:
-                decorated(checked)()
-            except Exception as error:
-                if (message := explain(error)) is None:
-                    raise
-                sys.exit(_say(message))
+            with mistakes_told():
+                hydra.main(version_base="1.3", config_path=str(plugins.core_conf()), config_name=config_name)(checked)()
 
         return main
 
     return decorate
+
+
+@contextmanager
+def mistakes_told() -> Iterator[None]:
+    """End the program with one message and exit code 2 on an error that is the user's to mend.
+
+    Both around a task and around Hydra, which would announce the task's errors in its own way.
+    """
+    try:
+        yield
+    except Exception as error:
+        if (message := explain(error)) is None:
+            raise
+        print(f"error: {message}", file=sys.stderr)
+        sys.exit(2)
 
 
 def compose(config_name: str, overrides: list[str]) -> DictConfig:
@@ -93,26 +108,22 @@ def compose(config_name: str, overrides: list[str]) -> DictConfig:
 
 def explain(error: BaseException) -> str | None:
     """What to tell the user about an error that is theirs to mend; None if it is the program's."""
+    if not isinstance(error, (UserError, HydraException, OmegaConfBaseException)):
+        return None
     causes = list(_causes(error))
     for cause in causes:
-        if isinstance(cause, UserError):
+        if isinstance(cause, UserError):  # the builder of some part raised it, Hydra wrapped it
             return str(cause)
-    configured = [cause for cause in causes if isinstance(cause, (HydraException, OmegaConfBaseException))]
-    if not configured or type(error).__module__ == "builtins":
+    if any(not isinstance(cause, (HydraException, OmegaConfBaseException, ImportError)) for cause in causes):
         return None
-    lines = [line for cause in dict.fromkeys(map(str, configured)) for line in cause.splitlines()]
-    return "\n".join(dict.fromkeys(lines))
+    texts = dict.fromkeys(str(cause).partition("\n\nConfig search path")[0] for cause in causes)
+    return "\n".join(text for text in texts if not any(text in other for other in texts if other != text))
 
 
-def _causes(error: BaseException | None) -> Any:
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
     while error is not None:
         yield error
         error = error.__cause__
-
-
-def _say(message: str) -> int:
-    print(f"error: {message}", file=sys.stderr)
-    return 2
 
 
 def _register() -> None:

@@ -70,14 +70,12 @@ def discover() -> list[Plugin]:
 
 
 def activate() -> list[Plugin]:
-    """Make sound plugins importable and return them; each broken one is named on stderr and left out."""
-    found = discover()
-    for plugin in found:
-        if plugin.problem:
-            print(f"plugin {plugin.name} ({plugin.origin}) is left out: {plugin.problem}", file=sys.stderr)
-        elif plugin.root is not None and str(plugin.root) not in sys.path:
+    """Make sound plugins importable and return them."""
+    sound = [plugin for plugin in discover() if not plugin.problem]
+    for plugin in sound:
+        if plugin.root is not None and str(plugin.root) not in sys.path:
             sys.path.append(str(plugin.root))
-    return [plugin for plugin in found if not plugin.problem]
+    return sound
 
 
 def check(plugin: Plugin) -> str:

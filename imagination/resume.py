@@ -92,7 +92,7 @@ def _existing(config: DictConfig) -> Path:
         path = Path(config.ckpt_path)
         if not path.is_file():
             raise UserError(f"ckpt_path: got {path}, but there is no such file")
-        folder = path.resolve().parent.parent
+        folder = runs.within(path.resolve().parent.parent)
         if not (folder / runs.COMPOSED).is_file():
             raise UserError(
                 f"ckpt_path: got {path}, which lies in no run's folder ({folder / runs.COMPOSED} is missing); to use "

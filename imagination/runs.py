@@ -71,7 +71,13 @@ def find_latest(outputs: Path, name: str | None) -> Path:
     if not folders:
         wanted = f"the experiment {name!r}" if name else "any experiment"
         raise UserError(f"resume=latest: found no run of {wanted} in {outputs.resolve()}; start one without resume")
-    return max(folders, key=lambda folder: (folder.name, folder.parent.name))
+    return within(max(folders, key=lambda folder: (folder.name, folder.parent.name)))
+
+
+def within(folder: Path) -> Path:
+    """A folder without symbolic links, told from the current directory if it lies in it."""
+    folder, here = folder.resolve(), Path.cwd().resolve()
+    return folder.relative_to(here) if folder.is_relative_to(here) else folder
 
 
 @contextmanager

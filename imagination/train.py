@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import resource
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from imagination import runs
 from imagination.config import command
@@ -16,13 +17,16 @@ from imagination.progress import shares, stage
 from imagination.resume import Run, opened
 
 if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does without
-    from lightning import LightningDataModule, LightningModule, Trainer
+    from lightning import LightningModule, Trainer
+
+    from imagination.data.datamodule import SceneData
 
 log = logging.getLogger(__name__)
 
 
 @command("train")
 def main(config: DictConfig) -> None:
+    """The command."""
     with opened(config) as run:
         log.info("Run folder: %s\nWatch it: tensorboard --logdir %s", run.folder, run.folder.parent)
         train(run)
@@ -46,13 +50,14 @@ def train(run: Run) -> None:
     record_hyperparameters(trainer, run.config)
 
 
-def build(config: DictConfig) -> tuple[LightningModule, LightningDataModule, Trainer]:
+def build(config: DictConfig) -> tuple[LightningModule, SceneData, Trainer]:
     """Model, data and trainer with its callbacks and logger."""
     from hydra.utils import instantiate
     from lightning import seed_everything
 
     from imagination.checkpoints import CheckpointFiles, ConfigInCheckpoint
 
+    quiet_lightning()
     seed_everything(config.seed, verbose=False)
     model = instantiate(config.model.module)
     data = instantiate(config.data.module)
@@ -63,6 +68,13 @@ def build(config: DictConfig) -> tuple[LightningModule, LightningDataModule, Tra
     return model, data, trainer
 
 
+def quiet_lightning() -> None:
+    """Leave out what Lightning tells about itself; its warnings stay."""
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    warnings.filterwarnings("ignore", category=FutureWarning, module=r"lightning\.")
+    warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")  # as it should on resume
+
+
 def best(run: Run) -> Path | None:
     """The checkpoint to evaluate: the best one on validation homes; None, the weights in memory, if none was kept."""
     path = run.folder / runs.BEST
@@ -71,10 +83,13 @@ def best(run: Run) -> Path | None:
 
 def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
     """Show the run's settings beside its final figures in TensorBoard."""
-    nodes = ("name", "seed", "unit_categories", "scale", "kernels", "aggregation_factor", "obstacles")
-    settings = OmegaConf.to_container(OmegaConf.masked_copy(config, list(nodes)), resolve=True)
+    from imagination.checkpoints import plain_values
+
+    values = plain_values(config)
+    nodes = ("name", "seed", "unit_categories", "scale", "kernels", "aggregation_factor", "model", "mapping")
+    figures = {name: float(value) for name, value in trainer.callback_metrics.items()}
     if trainer.logger is not None:
-        trainer.logger.log_hyperparams(settings, {name: float(x) for name, x in trainer.callback_metrics.items()})
+        trainer.logger.log_hyperparams({node: values[node] for node in nodes}, figures)
         trainer.logger.save()
 
 

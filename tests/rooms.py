@@ -1,5 +1,7 @@
 """A small furnished room made by hand, for tests that need a whole scene but no scene source."""
 
+from itertools import product
+
 import numpy as np
 
 from imagination.scenes.free_space import free_space
@@ -11,7 +13,7 @@ ROBOT_RADIUS = 0.18
 
 
 class MeshBuilder:
-    """Collects boxes and quadrilaterals; material i has colour COLOURS[i]."""
+    """Collects boxes and quadrilaterals; instance i has colour COLOURS[i % 5]."""
 
     def __init__(self) -> None:
         self._quads: list[np.ndarray] = []
@@ -24,7 +26,7 @@ class MeshBuilder:
 
     def box(self, low: tuple[float, float, float], high: tuple[float, float, float], instance: int) -> None:
         """Add an axis-aligned box with its normals pointing outwards."""
-        corner = np.array([[(low, high)[x][0], (low, high)[y][1], (low, high)[z][2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        corner = np.array(list(product(*zip(low, high, strict=True))))
         for side in ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)):
             self.quad(corner[list(side)], instance)
 
@@ -41,7 +43,7 @@ class MeshBuilder:
             vertices.astype(np.float32),
             faces.astype(np.int32),
             owner,
-            owner.copy(),
+            owner % np.int32(len(COLOURS)),
             np.tile(corner_uv[[[0, 1, 2], [0, 2, 3]]], (count, 1, 1)),
             tuple(Material(colour) for colour in COLOURS),
         )
@@ -56,14 +58,21 @@ def tiny_room(
 ) -> Scene:
     """A room with a table, a chair half under it, a bed and a lamp (of no category), about its own centre.
 
-    Seen from above before `turn` (counter-clockwise, radians) and `shift`, x to the right: the table is at the upper left,
-    the chair at its lower long side, the bed along the right wall, the lamp in the lower left corner.
+    Seen from above before `turn` (counter-clockwise, radians) and `shift`, x to the right: the table is at the upper
+    left, the chair at its lower long side, the bed along the right wall, the lamp in the lower left corner.
     """
     half_x, half_y, height = size[0] / 2, size[1] / 2, 2.6
     builder = MeshBuilder()
-    builder.quad([[-half_x, -half_y, 0], [half_x, -half_y, 0], [half_x, half_y, 0], [-half_x, half_y, 0]], BUILDING)
     builder.quad(
-        [[-half_x, -half_y, height], [-half_x, half_y, height], [half_x, half_y, height], [half_x, -half_y, height]],
+        [[-half_x, -half_y, 0], [half_x, -half_y, 0], [half_x, half_y, 0], [-half_x, half_y, 0]], BUILDING
+    )
+    builder.quad(
+        [
+            [-half_x, -half_y, height],
+            [-half_x, half_y, height],
+            [half_x, half_y, height],
+            [half_x, -half_y, height],
+        ],
         BUILDING,
     )
     builder.box((-half_x - wall, -half_y - wall, 0), (half_x + wall, -half_y, height), BUILDING)
@@ -96,7 +105,11 @@ def tiny_room(
     objects = []
     for instance, (label, category, low, high) in boxes.items():
         x, y, z = (np.array(low) + np.array(high)) / 2
-        centre = (float(cos * x - sin * y + shift[0]), float(sin * x + cos * y + shift[1]), float(z + floor_height))
+        centre = (
+            float(cos * x - sin * y + shift[0]),
+            float(sin * x + cos * y + shift[1]),
+            float(z + floor_height),
+        )
         extent = tuple((np.array(high) - np.array(low)).tolist())
         objects.append(SceneObject(instance, label, category, OrientedBox(centre, extent, turn)))
     lighting = Lighting(

@@ -23,13 +23,22 @@ def assemble(views: Views, layers: list[int], imaginable: int, neighbour: int) -
     target = views["object"][:, layers]
     seen = views["seen"][:, None]
     maps = {
-        "occupied": views["occupied"][:, None],
-        "seen": seen,
         "object": target,
         "label": label(target, seen, imaginable),
         "neighbourhood": neighbourhood(target, seen, neighbour),
     }
-    batch = {name: torch.from_numpy(np.ascontiguousarray(value)).to(torch.uint8) for name, value in maps.items()}
-    batch["rgb"] = torch.from_numpy(views["rgb"]).permute(0, 3, 1, 2)  # stays channels-last in memory
-    batch["depth"] = torch.from_numpy(views["depth"])[:, None]
-    return batch
+    return {**observations(views), **{name: _as_bytes(value) for name, value in maps.items()}}
+
+
+def observations(views: Views) -> Batch:
+    """What a unit is given of views: rgb, depth, occupied and seen."""
+    return {
+        "rgb": torch.from_numpy(views["rgb"]).permute(0, 3, 1, 2),  # stays channels-last in memory
+        "depth": torch.from_numpy(views["depth"])[:, None],
+        "occupied": _as_bytes(views["occupied"][:, None]),
+        "seen": _as_bytes(views["seen"][:, None]),
+    }
+
+
+def _as_bytes(mask: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(mask)).to(torch.uint8)

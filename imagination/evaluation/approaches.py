@@ -1,8 +1,8 @@
-"""The approaches that are compared: what each says about a view, how views are put together, how the map is finished."""
+"""The approaches compared: what each says about a view, how views are put together, how the map is finished."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -41,10 +41,13 @@ class Statement(NamedTuple):
     mask: Bool[np.ndarray, "n c v v"]
 
 
+@runtime_checkable
 class Evidence(Protocol):
     """Turns views into statements. Hashable, so that approaches with equal evidence and rule share a map."""
 
-    def __call__(self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting) -> Statement:
+    def __call__(
+        self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting
+    ) -> Statement:
         """What `views` say, given the network's `probabilities` for each."""
 
 
@@ -67,7 +70,9 @@ class ProjectedSegmentation:
         check_range("seg.high", self.high, self.low, 100.0, "m", open_low=True)
         check_range("seg.max_range", self.max_range, 0.0, np.inf, "m", open_low=True)
 
-    def __call__(self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting) -> Statement:
+    def __call__(
+        self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting
+    ) -> Statement:
         found = np.zeros_like(probabilities, dtype=bool)
         for index, (depth, image) in enumerate(zip(views["depth"], views["categories"], strict=True)):
             layers = project_categories(
@@ -87,14 +92,16 @@ class ProjectedSegmentation:
 class SeenPrediction:
     """imagination_seen: the prediction where depth saw the cell, prediction ∘ V_seen."""
 
-    def __call__(self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting) -> Statement:
+    def __call__(
+        self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting
+    ) -> Statement:
         # masked by what is written, not by zeros: these would be mixed into the rim of V_seen when views are registered
         return Statement(probabilities, np.broadcast_to(views["seen"][:, None], probabilities.shape))
 
 
 @dataclass(frozen=True)
 class ValidPrediction:
-    """imagination: V_valid = prediction ∘ M*_seen, with M*_seen = dilation([prediction >= tau_valid] ∘ V_seen, epsilon).
+    """imagination: V_valid = prediction ∘ M*_seen, M*_seen = dilation([prediction >= tau_valid] ∘ V_seen, epsilon).
 
     A view has something to say about the cells it saw, where it denies what is not valid, and about M*_seen.
 
@@ -110,14 +117,13 @@ class ValidPrediction:
         check_range("mapping.valid_threshold", self.threshold, 0.0, 1.0, open_low=True)
         check_range("mapping.valid_kernel", self.kernel, 0.0, 100.0, "m")
 
-    def __call__(self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting) -> Statement:
+    def __call__(
+        self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting
+    ) -> Statement:
         seen = views["seen"][:, None]
         epsilon = kernel_cells(self.kernel, setting.ego.resolution)
         valid = neighbourhood(probabilities >= self.threshold, seen, epsilon)
         return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen)
-
-
-Finish = Literal["keep", "close", "grow"]
 
 
 @dataclass(frozen=True)
@@ -127,13 +133,13 @@ class Approach:
     Attributes:
         evidence: what it says about a view.
         rule: how the statements of successive views are put together.
-        finish: what is done to the map once its threshold is applied: nothing, closing gaps, or growing.
+        finish: what is done to the map once its threshold is applied: keep (nothing), close (gaps) or grow.
         kernels: candidates for closing or growing, metres; the best on validation homes is taken.
     """
 
     evidence: Evidence
     rule: Rule
-    finish: Finish = "keep"
+    finish: str = "keep"
     kernels: Sequence[float] = (0.0,)
 
     def __post_init__(self) -> None:
@@ -147,7 +153,9 @@ class Approach:
         """Approaches with equal keys have the same map before finishing."""
         return self.evidence, self.rule
 
-    def finished(self, score: Float32[np.ndarray, "h w"], kernel: float, resolution: float) -> Float32[np.ndarray, "h w"]:
+    def finished(
+        self, score: Float32[np.ndarray, "h w"], kernel: float, resolution: float
+    ) -> Float32[np.ndarray, "h w"]:
         """The score whose thresholding equals thresholding first and finishing then.
 
         That order does not matter, since a dilation or erosion with a flat kernel takes the largest or smallest score.

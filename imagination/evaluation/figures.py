@@ -68,7 +68,7 @@ def draw_maps(examples: Sequence[Example]) -> Figure:
             axis.set_xticks([])
             axis.set_yticks([])
     colours = {"correct": CORRECT, "false": FALSE, "missed": MISSED, "truth": TRUTH, "occupied": OCCUPIED}
-    patches = [Patch(color=np.array(colour) / 255, label=name) for name, colour in colours.items()]
+    patches = [Patch(color=f"#{bytes(colour).hex()}", label=name) for name, colour in colours.items()]
     figure.legend(handles=patches, loc="outside lower center", ncols=len(patches), fontsize=9)
     return figure
 
@@ -83,18 +83,29 @@ def draw_iou(rows: Sequence[Row]) -> Figure:
     bar = 0.8 / len(names)
     for axis, category in zip(axes, categories, strict=True):
         for place, name in enumerate(names):
-            chosen = {float(r["cell_width"]): r for r in rows if (r["category"], r["approach"]) == (category, name)}
+            chosen = {
+                float(r["cell_width"]): r for r in rows if (r["category"], r["approach"]) == (category, name)
+            }
             value, low, high = (
                 np.array([float(chosen[width][column]) for width in widths])
                 for column in ("iou_pooled", "iou_ci_low", "iou_ci_high")
             )
             error = np.maximum(np.stack([value - low, high - value]), 0)
-            axis.bar(np.arange(len(widths)) + (place + 0.5) * bar - 0.4, value, bar, yerr=error, capsize=2, label=name)
+            axis.bar(
+                np.arange(len(widths)) + (place + 0.5) * bar - 0.4,
+                value,
+                bar,
+                yerr=error,
+                capsize=2,
+                label=name,
+            )
         axis.set_xticks(range(len(widths)), [f"{width:g}" for width in widths])
         axis.set_xlabel("cell width, m")
         axis.set_title(category)
     axes[0].set_ylabel("pooled IoU")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names), fontsize=9)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names), fontsize=9
+    )
     return figure
 
 

@@ -57,11 +57,6 @@ def area_of(
     return Area(part, truth.truth[layers][window], truth.occupied[window])
 
 
-def growth(approaches: Mapping[str, Approach]) -> float:
-    """The largest kernel that any approach finishes its map with, metres."""
-    return max(kernel for approach in approaches.values() for kernel in approach.kernels)
-
-
 def score_maps(
     views: Views,
     probabilities: Float32[np.ndarray, "n c v v"],

@@ -25,7 +25,10 @@ def count(predicted: Bool[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"]) ->
 def iou(counts: Int64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n"]:
     """Intersection over union, correct / (truth + false), of each triple of counts; 0 where both maps are empty."""
     union = counts[..., 2] + counts[..., 1]
-    return np.divide(counts[..., 0], union, out=np.zeros(union.shape), where=union > 0)
+    result: Float64[np.ndarray, "*n"] = np.divide(
+        counts[..., 0], union, out=np.zeros(union.shape), where=union > 0
+    )
+    return result
 
 
 def pooled_iou(counts: Int64[np.ndarray, "homes sets 3"]) -> float:

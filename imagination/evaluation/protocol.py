@@ -4,9 +4,9 @@ Thresholds and kernels are chosen on validation homes, then every home, cell wid
 is measured. Nothing here knows what kind of network predicts.
 """
 
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from imagination.errors import UserError, check_range
 from imagination.evaluation.approaches import Approach, Setting
-from imagination.evaluation.maps import Area, area_of, growth, score_maps
+from imagination.evaluation.maps import Area, area_of, score_maps
 from imagination.evaluation.metrics import count
 from imagination.evaluation.runs import Looks, Run, render, runs_of, views_of
 from imagination.evaluation.selection import THRESHOLDS, Choice, choose, tally
@@ -25,6 +25,9 @@ from imagination.views.pool import ScenePool
 
 Predict = Callable[[Views], Float32[np.ndarray, "n c v v"]]
 """The network: probabilities of the evaluated categories for each view."""
+
+Scores = dict[str, Float32[np.ndarray, "c h w"]]
+"""The map of each approach before its threshold."""
 
 Choices = dict[tuple[str, str], Choice]
 """What was chosen for each approach and category."""
@@ -50,6 +53,10 @@ class Key(NamedTuple):
     approach: str
     category: str
     cell_width: float
+
+
+Counts = dict[Key, list[Int64[np.ndarray, "3"]]]
+"""Correct, false and truth pixels of each run, in the order of runs."""
 
 
 class Example(NamedTuple):
@@ -81,8 +88,7 @@ class Report(NamedTuple):
         choices: threshold and kernel of each approach and category.
         homes, left_out: for each category, the homes that contain it and those that do not.
         examples: maps of the first viewpoint set of each category's first home, one for each cell width.
-        views: how many views the maps are made of.
-        snap_distance: how far viewpoints were moved to free space, mean over them, metres.
+        snap_distance: how far each viewpoint was moved to free space, metres.
     """
 
     counts: dict[Key, Int64[np.ndarray, "homes sets 3"]]
@@ -91,16 +97,15 @@ class Report(NamedTuple):
     homes: dict[str, list[str]]
     left_out: dict[str, list[str]]
     examples: list[Example]
-    views: int
-    snap_distance: float
+    snap_distance: Float64[np.ndarray, " viewpoints"]
 
 
 class _RunMaps(NamedTuple):
     run: Run
     views: Views
+    probabilities: Float32[np.ndarray, "n c v v"]
     area: Area
-    scores: dict[str, Float32[np.ndarray, "c h w"]]
-    shuffled: dict[str, Float32[np.ndarray, "c h w"]]
+    scores: Scores
 
 
 @dataclass(frozen=True)
@@ -133,55 +138,60 @@ class MappingProtocol:
         check_range("evaluation.approaches", len(self.approaches), 1, 1000, "approaches")
 
     def choose(self, subject: Subject, homes: Sequence[str], silent: bool = False) -> Choices:
-        """Choose each approach's threshold and kernel by pooled IoU over all runs of `homes`, at all cell widths together.
+        """Choose threshold and kernel of each approach by pooled IoU over all runs of `homes` together.
 
         Raises:
             UserError: if a category is in none of the homes.
         """
-        present = self._homes_with(subject, homes, "validation")
-        zeros = {name: np.zeros((len(a.kernels), len(THRESHOLDS), 3), np.int64) for name, a in self.approaches.items()}
-        totals = {(name, category): zeros[name].copy() for name in zeros for category in present}
-        for maps in self._maps(subject, homes, "maps of validation homes", silent):
-            for layer, category in enumerate(subject.setting.categories):
-                if maps.run.home not in present[category]:
-                    continue
+        present = homes_with(subject, homes)
+        totals: dict[tuple[str, str], Int64[np.ndarray, "kernels t 3"]] = {
+            (name, category): np.zeros((len(approach.kernels), len(THRESHOLDS), 3), np.int64)
+            for category in present
+            for name, approach in self.approaches.items()
+        }
+        for maps in self._maps(subject, homes, "global maps of validation homes", silent):
+            for layer, category in _layers(maps.run, present):
                 for name, approach in self.approaches.items():
                     for index, kernel in enumerate(approach.kernels):
                         score = approach.finished(maps.scores[name][layer], kernel, maps.area.grid.resolution)
                         totals[name, category][index] += tally(score, maps.area.truth[layer], THRESHOLDS)
         return {
-            (name, category): choose(tallies, np.array(self.approaches[name].kernels, np.float64), THRESHOLDS)
+            (name, category): choose(tallies, self.approaches[name].kernels, THRESHOLDS)
             for (name, category), tallies in totals.items()
         }
 
-    def measure(self, subject: Subject, homes: Sequence[str], choices: Choices, silent: bool = False) -> Report:
+    def measure(
+        self, subject: Subject, homes: Sequence[str], choices: Choices, silent: bool = False
+    ) -> Report:
         """Measure every approach on all runs of `homes`.
 
         Raises:
             UserError: if a category is in none of the homes.
         """
-        present = self._homes_with(subject, homes, "test")
-        counts: dict[Key, list[Int64[np.ndarray, "3"]]] = defaultdict(list)
-        shuffled: dict[Key, list[Int64[np.ndarray, "3"]]] = defaultdict(list)
+        present = homes_with(subject, homes)
+        rng = np.random.default_rng(self.seed)
+        counts: Counts = {
+            Key(*key): [] for key in product(self.approaches, present, map(float, self.cell_widths))
+        }
+        shuffled: Counts = {key: [] for key in counts}
         examples: list[Example] = []
-        snaps, views = [], 0
-        for maps in self._maps(subject, homes, "maps of test homes", silent):
-            views += len(maps.views["pose"])
+        snaps = []
+        for maps in self._maps(subject, homes, "global maps of test homes", silent):
+            run, area, poses = maps.run, maps.area, maps.views["pose"]
             snaps.append(maps.views["snap_distance"])
-            for layer, category in enumerate(subject.setting.categories):
-                if maps.run.home not in present[category]:
-                    continue
-                predicted = self._predicted(maps.scores, choices, layer, category, maps.area.grid)
-                in_random_order = self._predicted(maps.shuffled, choices, layer, category, maps.area.grid)
+            in_random_order = self._scores(
+                maps.views, maps.probabilities, subject, area, rng.permutation(len(poses))
+            )
+            for layer, category in _layers(run, present):
+                predicted = self._predicted(maps.scores, choices, layer, category, area)
+                reordered = self._predicted(in_random_order, choices, layer, category, area)
                 for name in self.approaches:
-                    key = Key(name, category, maps.run.cell_width)
-                    counts[key].append(count(predicted[name], maps.area.truth[layer]))
-                    shuffled[key].append(count(in_random_order[name], maps.area.truth[layer]))
-                if maps.run.number == 0 and maps.run.home == present[category][0]:
-                    area, poses = maps.area, maps.views["pose"]
-                    examples.append(
-                        Example(maps.run, category, area.grid, area.occupied, area.truth[layer], predicted, poses)
-                    )
+                    key = Key(name, category, run.cell_width)
+                    counts[key].append(count(predicted[name], area.truth[layer]))
+                    shuffled[key].append(count(reordered[name], area.truth[layer]))
+                if run.number == 0 and run.home == present[category][0]:
+                    shown = area.grid, area.occupied, area.truth[layer], predicted, poses
+                    examples.append(Example(run, category, *shown))
         return Report(
             self._by_home(counts),
             self._by_home(shuffled),
@@ -189,54 +199,70 @@ class MappingProtocol:
             present,
             {category: [home for home in homes if home not in names] for category, names in present.items()},
             examples,
-            views,
-            float(np.concatenate(snaps).mean()) if sum(map(len, snaps)) else 0.0,
+            np.concatenate(snaps),
         )
 
     def _maps(self, subject: Subject, homes: Sequence[str], title: str, silent: bool) -> Iterator[_RunMaps]:
-        """The maps of every run of `homes`, home by home, then by cell width and viewpoint set."""
-        runs, looks = runs_of(homes, self.cell_widths, self.viewpoint_sets), Looks(self.seed, self.orientations)
+        """The maps of every run of `homes`: home by home, then by cell width and viewpoint set."""
+        runs, looks = (
+            runs_of(homes, self.cell_widths, self.viewpoint_sets),
+            Looks(self.seed, self.orientations),
+        )
         render(subject.pool, runs, looks, silent)
         observer, setting = subject.pool.observer, subject.setting
-        rng = np.random.default_rng(self.seed)
+        margin = max(kernel for approach in self.approaches.values() for kernel in approach.kernels)
         for run in runs if silent else progress(runs, title):
             views = views_of(observer, run, looks)
             probabilities = subject.predict(views)
-            area = area_of(
-                observer.truth(run.home), setting.layers, views["pose"], setting.ego, growth(self.approaches)
-            )
-            in_order = np.arange(len(views["pose"]))
-            scores, shuffled = (
-                score_maps(views, probabilities, self.approaches, setting, area.grid, order)
-                for order in (in_order, rng.permutation(in_order))
-            )
-            yield _RunMaps(run, views, area, scores, shuffled)
+            area = area_of(observer.truth(run.home), setting.layers, views["pose"], setting.ego, margin)
+            scores = self._scores(views, probabilities, subject, area, np.arange(len(views["pose"])))
+            yield _RunMaps(run, views, probabilities, area, scores)
+
+    def _scores(
+        self,
+        views: Views,
+        probabilities: Float32[np.ndarray, "n c v v"],
+        subject: Subject,
+        area: Area,
+        order: Int64[np.ndarray, " n"],
+    ) -> Scores:
+        return score_maps(views, probabilities, self.approaches, subject.setting, area.grid, order)
 
     def _predicted(
-        self, scores: dict[str, Float32[np.ndarray, "c h w"]], choices: Choices, layer: int, category: str, grid: Grid
+        self, scores: Scores, choices: Choices, layer: int, category: str, area: Area
     ) -> dict[str, Bool[np.ndarray, "h w"]]:
+        """The map of each approach, finished and thresholded as chosen."""
         predicted = {}
         for name, approach in self.approaches.items():
             choice = choices[name, category]
-            score = approach.finished(scores[name][layer], choice.kernel, grid.resolution)
+            score = approach.finished(scores[name][layer], choice.kernel, area.grid.resolution)
             predicted[name] = score >= np.float32(choice.threshold)
         return predicted
 
-    def _by_home(
-        self, counts: dict[Key, list[Int64[np.ndarray, "3"]]]
-    ) -> dict[Key, Int64[np.ndarray, "homes sets 3"]]:
+    def _by_home(self, counts: Counts) -> dict[Key, Int64[np.ndarray, "homes sets 3"]]:
         return {key: np.stack(rows).reshape(-1, self.viewpoint_sets, 3) for key, rows in counts.items()}
 
-    def _homes_with(self, subject: Subject, homes: Sequence[str], split: str) -> dict[str, list[str]]:
-        observer, setting = subject.pool.observer, subject.setting
-        present = {
-            category: [home for home in homes if observer.truth(home).truth[layer].any()]
-            for category, layer in zip(setting.categories, setting.layers, strict=True)
-        }
-        for category, names in present.items():
-            if not names:
-                raise UserError(
-                    f"category {category!r}: none of the {len(homes)} {split} homes contains one; "
-                    "choose another category or scene source, or more homes"
-                )
-        return present
+
+def homes_with(subject: Subject, homes: Sequence[str]) -> dict[str, list[str]]:
+    """For each evaluated category, those of the homes that contain it.
+
+    Raises:
+        UserError: if a category is in none of them.
+    """
+    observer, setting = subject.pool.observer, subject.setting
+    present = {
+        category: [home for home in homes if observer.truth(home).truth[layer].any()]
+        for category, layer in zip(setting.categories, setting.layers, strict=True)
+    }
+    for category, names in present.items():
+        if not names:
+            raise UserError(
+                f"category {category!r}: none of the {len(homes)} homes to evaluate contains one "
+                f"({', '.join(homes[:5])}{' …' if len(homes) > 5 else ''}); choose another category or more homes"
+            )
+    return present
+
+
+def _layers(run: Run, present: Mapping[str, Sequence[str]]) -> Iterator[tuple[int, str]]:
+    """Layer and name of each category that the run's home contains."""
+    return ((layer, name) for layer, (name, homes) in enumerate(present.items()) if run.home in homes)

@@ -45,7 +45,8 @@ class Looks(NamedTuple):
 
 def runs_of(homes: Sequence[str], cell_widths: Sequence[float], viewpoint_sets: int) -> list[Run]:
     """All runs: every home, cell width and viewpoint set."""
-    return [Run(home, float(width), number) for home, width, number in product(homes, cell_widths, range(viewpoint_sets))]
+    places = product(homes, map(float, cell_widths), range(viewpoint_sets))
+    return [Run(home, width, number) for home, width, number in places]
 
 
 def render(pool: ScenePool, runs: Sequence[Run], looks: Looks, silent: bool) -> None:

@@ -1,9 +1,10 @@
 """Choosing an approach's threshold and kernel on validation homes, by pooled IoU over all runs and cell widths."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from imagination.evaluation.metrics import iou
 
@@ -48,10 +49,12 @@ def tally(
 
 def choose(
     tallies: Int64[np.ndarray, "kernels t 3"],
-    kernels: Float[np.ndarray, " kernels"],
+    kernels: Sequence[float],
     thresholds: Float32[np.ndarray, " t"],
 ) -> Choice:
-    """The kernel and threshold with the highest pooled IoU; ties go to the smallest kernel, then to the threshold nearest .5.
+    """The kernel and threshold with the highest pooled IoU.
+
+    Ties go to the smallest kernel, then to the threshold nearest 0.5.
 
     Args:
         tallies: summed over all validation runs.

@@ -26,9 +26,10 @@ from imagination.runs import write_text
 Row = dict[str, str]
 """Cells of a table's row by column, formatted, so that the same numbers give the same bytes."""
 
+PIXELS = "correct_pixels", "false_pixels", "truth_pixels"
+
 SCREEN_MAPPING = (
-    "approach", "category", "cell_width", "iou_pooled", "iou_ci_low", "iou_ci_high", "correct_pixels", "false_pixels",
-    "truth_pixels",
+    "approach", "category", "cell_width", "iou_pooled", "iou_ci_low", "iou_ci_high", *PIXELS,
 )  # fmt: skip
 SCREEN_PAIRED = "difference", "category", "cell_width", "iou_pooled", "ci_low", "ci_high", "correct_pixels"
 """Columns of the tables on the screen."""
@@ -42,19 +43,15 @@ class Provenance(NamedTuple):
 
     Attributes:
         command: that made them.
-        seed: of the evaluation.
         hardware: that it ran on.
         seconds: of wall time that evaluation took.
         sensor: what all approaches looked through, see `declared_sensor`.
-        rule: how predictions were registered.
     """
 
     command: str
-    seed: int
     hardware: str
     seconds: float
     sensor: str
-    rule: str
 
 
 def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -> list[Row]:
@@ -124,7 +121,7 @@ def run_rows(report: Report) -> list[Row]:
             "home": home,
             "viewpoint_set": str(number),
             "iou": f"{float(iou(counts[place, number])):.4f}",
-            **dict(zip(("correct_pixels", "false_pixels", "truth_pixels"), map(str, counts[place, number]), strict=True)),
+            **dict(zip(PIXELS, map(str, counts[place, number].tolist()), strict=True)),
         }
         for key, counts in report.counts.items()
         for place, home in enumerate(report.homes[key.category])
@@ -132,7 +129,9 @@ def run_rows(report: Report) -> list[Row]:
     ]
 
 
-def write(folder: Path, report: Report, protocol: MappingProtocol, resolution: float, origin: Provenance) -> None:
+def write(
+    folder: Path, report: Report, protocol: MappingProtocol, resolution: float, origin: Provenance
+) -> None:
     """Write mapping.csv, paired.csv, runs.csv and mapping.md into `folder`, each whole or not at all."""
     mapping, paired = mapping_rows(report, protocol, resolution), paired_rows(report, protocol)
     write_text(folder / "mapping.csv", to_csv(mapping))
@@ -153,7 +152,11 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 
 def to_markdown(
-    mapping: Sequence[Row], paired: Sequence[Row], report: Report, protocol: MappingProtocol, origin: Provenance
+    mapping: Sequence[Row],
+    paired: Sequence[Row],
+    report: Report,
+    protocol: MappingProtocol,
+    origin: Provenance,
 ) -> str:
     """The tables with everything that a reader needs to know about them."""
     left_out = "; ".join(
@@ -162,22 +165,24 @@ def to_markdown(
     )
     order = max(abs(float(row["iou_pooled"]) - float(row["iou_shuffled"])) for row in mapping)
     percent = f"{CONFIDENCE:.0%}"
+    views = len(report.snap_distance) * protocol.orientations
     parts = [
         "# Mapping from sparse viewpoints",
         _markdown_table(mapping, list(mapping[0])[:11]),
-        f"""A run is one home, cell width and viewpoint set; each cell width has {protocol.viewpoint_sets} sets a home and
-{protocol.orientations} random headings a viewpoint ({report.views} views in all). Truth is M_gt of the whole home, seen or not. `iou_pooled` divides
-the correct pixels of all runs by the union's, `iou_mean` is the mean of the runs' IoU, and pixels are summed over runs.
-The {percent} intervals come from {protocol.resamples} bootstrap resamples of homes, of `iou_pooled`. Homes without the category are left out ({left_out}).""",
+        f"""A run is one home, cell width and viewpoint set; each cell width has {protocol.viewpoint_sets} sets a home
+and {protocol.orientations} random headings a viewpoint ({views} views in all). Truth is M_gt of the whole home, seen
+or not. `iou_pooled` divides the correct pixels of all runs by the union's, `iou_mean` is the mean of the runs' IoU,
+and pixels are summed over runs. The {percent} intervals of `iou_pooled` come from {protocol.resamples} bootstrap
+resamples of homes. Homes without the category are left out ({left_out}).""",
         "## In pairs",
         _markdown_table(paired, list(paired[0])) if paired else f"There is no `{REFERENCE}` to compare with.",
         f"Differences of `iou_pooled`, with {percent} intervals over homes resampled in pairs.",
         "## How it was made",
         f"""- Sensor, the same for all approaches: {origin.sensor}.
-- Registration of predictions: {origin.rule}; views in viewpoint order, then orientation. In a random order `iou_pooled` changes
-  by {order:.4f} at most. Viewpoints were moved {report.snap_distance:.2f} m on average to reach free space.
+- Registration: {_registered(protocol)}; views in viewpoint order, then orientation. In a random order `iou_pooled`
+  changes by {order:.4f} at most. Viewpoints were moved {report.snap_distance.mean():.2f} m on average to free space.
 - Chosen on validation homes by pooled IoU at all cell widths together: {_chosen(report, protocol)}.
-- Seed {origin.seed}; {origin.hardware}; evaluation took {origin.seconds:.0f} s of wall time.
+- Seed {protocol.seed}; {origin.hardware}; evaluation took {origin.seconds:.0f} s of wall time.
 - Command: `{origin.command}`""",
     ]
     return "\n\n".join(parts) + "\n"
@@ -200,12 +205,14 @@ def declared_sensor(setting: Setting, approaches: Mapping[str, Approach]) -> str
     extent = ego.cells * ego.resolution
     said = (
         f"{camera.width} x {camera.height} pixels, field of view {degrees(camera.field_of_view):.0f} degrees, "
-        f"{camera.mount_height:g} m above the floor; egocentric map of {extent:.2f} m a side at {ego.resolution:g} m"
+        f"{camera.mount_height:g} m above the floor; egocentric map of {extent:.2f} m a side, cells of "
+        f"{ego.resolution:g} m"
     )
     for name, approach in approaches.items():
         if isinstance(evidence := approach.evidence, ProjectedSegmentation):
             limit = "none but that map" if isinf(evidence.max_range) else f"{evidence.max_range:g} m"
-            said += f"; {name} projects returns {evidence.low:g} to {evidence.high:g} m above the floor, range limit {limit}"
+            band = f"{evidence.low:g} to {evidence.high:g} m above the floor"
+            said += f"; {name} projects returns {band}, range limit {limit}"
     return said
 
 
@@ -214,9 +221,14 @@ def _markdown_table(rows: Sequence[Mapping[str, str]], columns: Sequence[str]) -
     return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
 
 
+def _registered(protocol: MappingProtocol) -> str:
+    return ", ".join(f"{name} by {approach.rule}" for name, approach in protocol.approaches.items())
+
+
 def _chosen(report: Report, protocol: MappingProtocol) -> str:
-    said = []
-    for (name, category), choice in report.choices.items():
-        finish = {"keep": "", "close": f", closed by {choice.kernel:g} m", "grow": f", grown by {choice.kernel:g} m"}
-        said.append(f"{name} ({category}) threshold {choice.threshold:.2f}{finish[protocol.approaches[name].finish]}")
-    return "; ".join(said)
+    finished = {"keep": "", "close": ", closed by {:g} m", "grow": ", grown by {:g} m"}
+    return "; ".join(
+        f"{name} ({category}) threshold {choice.threshold:.2f}"
+        + finished[protocol.approaches[name].finish].format(choice.kernel)
+        for (name, category), choice in report.choices.items()
+    )

@@ -1,4 +1,4 @@
-"""The pinhole camera on the robot (docs/conventions.md: optical frame x right, y down, z forward; pixel centres at +0.5)."""
+"""The pinhole camera on the robot (docs/conventions.md: optical frame x right, y down, z forward)."""
 
 from dataclasses import dataclass
 
@@ -38,7 +38,13 @@ class Camera:
 
     @classmethod
     def from_degrees(
-        cls, width: int, height: int, field_of_view: float, mount_height: float, pitch: float = 0.0, roll: float = 0.0
+        cls,
+        width: int,
+        height: int,
+        field_of_view: float,
+        mount_height: float,
+        pitch: float = 0.0,
+        roll: float = 0.0,
     ) -> "Camera":
         """The camera as configured: angles in degrees, everything else as in the class."""
         fov, tilt, turn = np.deg2rad([field_of_view, pitch, roll]).tolist()
@@ -67,9 +73,10 @@ class Camera:
         return transform
 
     def to_world(self, pose: Pose, floor_height: float = 0.0) -> Float[np.ndarray, "4 4"]:
-        """Transform from the optical frame to the world's, for the robot at `pose` on a floor at `floor_height` metres."""
+        """Transform from the optical frame to the world's, for the robot at `pose` on a floor at `floor_height`."""
         robot_to_world = np.eye(4)
         planar = pose.matrix()
         robot_to_world[:2, :2], robot_to_world[:2, 3] = planar[:2, :2], planar[:2, 2]
         robot_to_world[2, 3] = floor_height
-        return robot_to_world @ self.to_robot()
+        transform: np.ndarray = robot_to_world @ self.to_robot()
+        return transform

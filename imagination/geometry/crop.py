@@ -1,4 +1,4 @@
-"""Where egocentric cells lie in a global map, and cutting the window around the robot out of it (docs/conventions.md)."""
+"""Where egocentric cells lie in a global map, and the window around the robot cut out of it (docs/conventions.md)."""
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -27,7 +27,9 @@ def ego_to_grid(ego: EgoGrid, grid: Grid, pose: Pose) -> Float64[np.ndarray, "2 
     return np.column_stack([turn, robot - turn @ [ego.cells - 1, ego.cells // 2]])
 
 
-def crop(layer: Bool[np.ndarray, "*b h w"], grid: Grid, pose: Pose, ego: EgoGrid) -> Bool[np.ndarray, "*b v v"]:
+def crop(
+    layer: Bool[np.ndarray, "*b h w"], grid: Grid, pose: Pose, ego: EgoGrid
+) -> Bool[np.ndarray, "*b v v"]:
     """The egocentric window of global maps: each cell gets the value of the global cell that its centre lies in.
 
     Args:

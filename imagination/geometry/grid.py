@@ -78,7 +78,8 @@ class Grid:
 
     def inside(self, cells: Int[np.ndarray, "*n 2"]) -> np.ndarray:
         """Which cells lie in the array."""
-        return ((cells >= 0) & (cells < np.array(self.shape))).all(axis=-1)
+        within: np.ndarray = np.all((cells >= 0) & (cells < np.array(self.shape)), axis=-1)
+        return within
 
 
 @dataclass(frozen=True)
@@ -111,4 +112,4 @@ class EgoGrid:
 
     def centres(self, pose: Pose) -> Float[np.ndarray, "v v 2"]:
         """World x, y of every cell's centre, for the robot at `pose`."""
-        return pose.to_world(self.to_points(np.stack(np.indices((self.cells, self.cells)), axis=-1)))
+        return pose.to_world(self.to_points(np.moveaxis(np.indices((self.cells, self.cells)), 0, -1)))

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32
 from imagination.errors import UserError, check_range
 
 Layers = Bool[np.ndarray, "*b h w"] | Float32[np.ndarray, "*b h w"]
-"""Masks, or scores from 0 up: a square takes the largest or smallest score, so thresholds may be applied before or after."""
+"""Masks, or scores from 0 up: of which a square takes the largest or smallest, so that they commute with thresholds."""
 
 
 def kernel_cells(size: float, resolution: float) -> int:
@@ -51,8 +51,8 @@ def dilate(mask: Layers, kernel: int) -> Layers:
 def close(mask: Layers, kernel: int) -> Layers:
     """Fill gaps narrower than the kernel: dilation, then erosion by the same offsets, so that no True cell is lost.
 
-    Cells outside the map are False, and growth beyond the rim is kept between the two steps: the result is what it would
-    be inside a larger empty map.
+    Cells outside the map are False, and growth beyond the rim is kept between the two steps: the result is what it
+    would be inside a larger empty map.
 
     Args:
         mask: one map, or any number stacked in front.

@@ -21,9 +21,11 @@ class Pose(NamedTuple):
     def to_world(self, points: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Points given in the robot's frame (x forward, y left), in the world's frame; metres."""
         matrix = self.matrix()
-        return points @ matrix[:2, :2].T + matrix[:2, 2]
+        world: np.ndarray = points @ matrix[:2, :2].T + matrix[:2, 2]
+        return world
 
     def to_robot(self, points: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Points given in the world's frame, in the robot's frame (x forward, y left); metres."""
         matrix = self.matrix()
-        return (points - matrix[:2, 2]) @ matrix[:2, :2]
+        robot: np.ndarray = (points - matrix[:2, 2]) @ matrix[:2, :2]
+        return robot

@@ -50,27 +50,33 @@ def validate_depth(depth: np.ndarray, camera: Camera) -> None:
         UserError: on the wrong shape or type, NaN, infinity or negative depth.
     """
     if depth.shape != (camera.height, camera.width):
-        raise UserError(f"depth: got shape {depth.shape}, expected {(camera.height, camera.width)} as the camera has")
+        raise UserError(
+            f"depth: got shape {depth.shape}, expected {(camera.height, camera.width)} as the camera has"
+        )
     if depth.dtype != np.float32:
         raise UserError(f"depth: got {depth.dtype}, expected float32 metres; convert it before")
     low, high = depth.min(), depth.max()
     if not (low >= 0 and high < np.inf):  # NaN compares false, so it is refused too
         bad = depth[~((depth >= 0) & (depth < np.inf))]
         raise UserError(
-            f"depth: got {bad[0]} in {bad.size} of {depth.size} pixels, expected finite metres, 0 where nothing returned; "
-            "replace NaN, infinity and negative numbers by 0"
+            f"depth: got {bad[0]} in {bad.size} of {depth.size} pixels, expected finite metres, "
+            "0 where nothing returned; replace NaN, infinity and negative numbers by 0"
         )
 
 
 def project_depth(
-    depth: Float32[np.ndarray, "h w"], camera: Camera, grid: EgoGrid, obstacles: Band, max_range: float = np.inf
+    depth: Float32[np.ndarray, "h w"],
+    camera: Camera,
+    grid: EgoGrid,
+    obstacles: Band,
+    max_range: float = np.inf,
 ) -> EgoView:
     """Egocentric occupancy and V_seen of one depth image.
 
-    A cell is occupied if a return between `obstacles.low` and `obstacles.high` lies in it. It is seen if any return up to
-    `obstacles.high` lies in it, or if it lies between two vertically adjacent returns of one image column that are both
-    floor, that is below `obstacles.low`. An image column is as wide as a pixel, so the floor in view has no gaps at any
-    image resolution. A ray that passes above a cell does not see it.
+    A cell is occupied if a return between `obstacles.low` and `obstacles.high` lies in it. It is seen if any return
+    up to `obstacles.high` lies in it, or if it lies between two vertically adjacent returns of one image column that
+    are both floor, that is below `obstacles.low`. An image column is as wide as a pixel, so the floor in view has no
+    gaps at any image resolution. A ray that passes above a cell does not see it.
 
     Args:
         depth: metres along the optical axis, 0 where nothing returned.
@@ -181,14 +187,18 @@ def _check_limits(band: Band, max_range: float) -> None:
 def _robot_to_cells(grid: EgoGrid) -> Float64[np.ndarray, "3 4"]:
     """(row, column, height) of points in the robot's frame; as EgoGrid.to_cells."""
     scale = -1 / grid.resolution
-    return np.array([[scale, 0.0, 0.0, grid.cells - 1], [0.0, scale, 0.0, grid.cells // 2], [0.0, 0.0, 1.0, 0.0]])
+    return np.array(
+        [[scale, 0.0, 0.0, grid.cells - 1], [0.0, scale, 0.0, grid.cells // 2], [0.0, 0.0, 1.0, 0.0]]
+    )
 
 
 def _place(
     camera: Camera, camera_to_frame: Float64[np.ndarray, "4 4"], frame_to_cells: Float64[np.ndarray, "3 4"]
 ) -> _Placement:
     focal, (centre_x, centre_y) = camera.focal_length, camera.principal_point
-    pixels_to_rays = np.array([[1 / focal, 0.0, -centre_x / focal], [0.0, 1 / focal, -centre_y / focal], [0.0, 0.0, 1.0]])
+    pixels_to_rays = np.array(
+        [[1 / focal, 0.0, -centre_x / focal], [0.0, 1 / focal, -centre_y / focal], [0.0, 0.0, 1.0]]
+    )
     camera_to_cells = frame_to_cells @ camera_to_frame
     return _Placement(camera_to_cells[:, :3] @ pixels_to_rays, camera_to_cells[:, 3].copy())
 
@@ -234,9 +244,16 @@ def _observe(
 ) -> None:
     """Mark occupied and seen cells, going down each image column with the floor return just above in hand."""
     cells = seen.shape[0]
-    half_row, half_column = rays[0, 0] / 2, rays[1, 0] / 2  # from a pixel's centre to its right edge, at depth 1
+    half_row, half_column = (
+        rays[0, 0] / 2,
+        rays[1, 0] / 2,
+    )  # from a pixel's centre to its right edge, at depth 1
     for u in range(depth.shape[1]):
-        above, row_above, column_above = 0.0, 0.0, 0.0  # depth (0: not floor) and place of the return one pixel up
+        above, row_above, column_above = (
+            0.0,
+            0.0,
+            0.0,
+        )  # depth (0: not floor) and place of the return one pixel up
         for v in range(depth.shape[0]):
             d, x, y = depth[v, u], u + 0.5, v + 0.5
             z = d * (rays[2, 0] * x + rays[2, 1] * y + rays[2, 2]) + offset[2]
@@ -264,7 +281,9 @@ def _observe(
 
 @compiled
 def _fill(
-    seen: Bool[np.ndarray, "v v"], rows: tuple[float, float, float, float], columns: tuple[float, float, float, float]
+    seen: Bool[np.ndarray, "v v"],
+    rows: tuple[float, float, float, float],
+    columns: tuple[float, float, float, float],
 ) -> None:
     """Mark the cells of a convex quadrilateral: those it touches on the centre line of each row of cells."""
     cells = seen.shape[0]
@@ -282,5 +301,7 @@ def _fill(
                 c = c0 + (c1 - c0) * ((row - r0) / (r1 - r0))
                 left, right = min(left, c), max(right, c)
         if right >= -0.5 and left < cells - 0.5:
-            for column in range(int(max(np.floor(left + 0.5), 0.0)), int(min(np.floor(right + 0.5), cells - 1.0)) + 1):
+            for column in range(
+                int(max(np.floor(left + 0.5), 0.0)), int(min(np.floor(right + 0.5), cells - 1.0)) + 1
+            ):
                 seen[row, column] = True

@@ -29,7 +29,7 @@ def imaginable_mask(
 ) -> Bool[np.ndarray, "*b v v"]:
     """Where objects can be imagined, V_filter = dilation(V_object * V_seen, delta): near a part that is seen.
 
-    The rule of M*_seen with a kernel of its own; it leaves out objects of which nothing is seen, such as those behind walls.
+    The rule of M*_seen with a kernel of its own. Objects of which nothing is seen, such as those behind walls, are out.
 
     Args:
         objects: V_object, the crop of the ground truth M_gt.
@@ -43,4 +43,4 @@ def label(
     objects: Bool[np.ndarray, "*b v v"], seen: Bool[np.ndarray, "*#b v v"], delta: int
 ) -> Bool[np.ndarray, "*b v v"]:
     """What the unit is asked to imagine, V_label = V_object * V_filter; arguments as for `imaginable_mask`."""
-    return objects & imaginable_mask(objects, seen, delta)
+    return np.logical_and(objects, imaginable_mask(objects, seen, delta))

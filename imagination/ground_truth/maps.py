@@ -1,4 +1,4 @@
-"""Ground-truth maps of a whole scene: M_gt = M_occu & M_label & M_seg (the paper's section "Ground Truth Generation")."""
+"""Ground-truth maps of a whole scene: M_gt = M_occu & M_label & M_seg (the paper's "Ground Truth Generation")."""
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
@@ -80,7 +80,7 @@ class GroundTruth(NamedTuple):
 def build(scene: Scene, renderer: Renderer, spec: GroundTruthSpec, categories: CategoryTable) -> GroundTruth:
     """Make the maps of a scene, for all categories of the table.
 
-    Warns about every object of a category that has no cell in M_gt: nothing of it was seen between the obstacles' heights.
+    Warns about every object of a category that has no cell in M_gt: nothing of it was seen at the obstacles' heights.
 
     Args:
         scene: with its free space, where the looks are taken.
@@ -123,8 +123,8 @@ def look_points(free: FreeSpace, spacing: float) -> Float[np.ndarray, "n 2"]:
 
 def box_cells(box: OrientedBox, grid: Grid) -> tuple[tuple[slice, slice], Bool[np.ndarray, "a b"]]:
     """The cells whose centre lies in a box seen from above: a window of the grid and which of its cells."""
-    corners = grid.to_cells(box.footprint())
-    (top, left), (bottom, right) = np.maximum(corners.min(axis=0), 0), corners.max(axis=0)
+    corners = np.clip(grid.to_cells(box.footprint()), 0, np.array(grid.shape) - 1)
+    (top, left), (bottom, right) = corners.min(axis=0), corners.max(axis=0)
     window = slice(top, bottom + 1), slice(left, right + 1)
     rows, columns = np.ogrid[window]
     cells = np.stack(np.broadcast_arrays(rows, columns), axis=-1)
@@ -137,8 +137,8 @@ def _check_instances(scene: Scene) -> None:
     known = {0, *(thing.instance for thing in scene.objects)}
     if unknown := sorted(set(np.unique(scene.mesh.face_instance).tolist()) - known):
         raise UserError(
-            f"scene {scene.name}: its mesh has faces of the instances {unknown[:10]}, which scene.objects does not list; "
-            "list every object of the mesh (0 is the building)"
+            f"scene {scene.name}: its mesh has faces of the instances {unknown[:10]}, which scene.objects does not "
+            "list; list every object of the mesh (0 is the building)"
         )
 
 

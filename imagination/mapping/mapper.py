@@ -21,8 +21,8 @@ BYTES_PER_CELL = 8
 class Mapper:
     """A global map of probabilities, one layer for each category, that grows by registered views.
 
-    A view changes only the cells of its own window, pulled by inverse mapping (values bilinear, masks nearest), so its cost
-    depends on the egocentric map's size, never on the global map's.
+    A view changes only the cells of its own window, pulled by inverse mapping (values bilinear, masks nearest), so
+    its cost depends on the egocentric map's size, never on the global map's.
 
     Args:
         grid: of the global map.
@@ -51,13 +51,13 @@ class Mapper:
             raise UserError("categories: got none, expected the name of at least one layer")
         if not np.isclose(ego.resolution, grid.resolution, rtol=1e-6, atol=0):
             raise UserError(
-                f"resolution: got {ego.resolution} m for views and {grid.resolution} m for the map, expected one for both"
+                f"resolution: got {ego.resolution} m for views, {grid.resolution} m for the map, expected one for both"
             )
         needed, there = len(categories) * grid.rows * grid.columns * BYTES_PER_CELL, physical_memory()
         if needed > there:
             raise UserError(
-                f"map of {len(categories)} x {grid.rows} x {grid.columns} cells: got {needed / 1e9:.1f} GB to allocate, "
-                f"expected at most this machine's {there / 1e9:.1f} GB; choose a coarser resolution or a smaller extent"
+                f"map of {len(categories)} x {grid.rows} x {grid.columns} cells: got {needed / 1e9:.1f} GB, expected "
+                f"at most this machine's {there / 1e9:.1f} GB; choose a coarser resolution or a smaller extent"
             )
         self.grid, self.ego, self.categories, self.rule = grid, ego, list(categories), rule
         side = int(np.ceil(np.sqrt(2) * ego.cells)) + 1  # of the window of a view turned by 45 degrees
@@ -86,7 +86,9 @@ class Mapper:
         """Cells that a view has written."""
         return self._count > 0
 
-    def register(self, values: Float32[np.ndarray, "c v v"], mask: Bool[np.ndarray, "c v v"], pose: Pose) -> None:
+    def register(
+        self, values: Float32[np.ndarray, "c v v"], mask: Bool[np.ndarray, "c v v"], pose: Pose
+    ) -> None:
         """Let one view have its say.
 
         Args:
@@ -95,14 +97,16 @@ class Mapper:
             pose: of the robot, from which the view was taken.
 
         Raises:
-            UserError: on wrong shapes or types, values that are not probabilities, or a pose that is not finite. The map
-                stays as it was.
+            UserError: on wrong shapes or types, values that are not probabilities, or a pose that is not finite. The
+                map stays as it was.
         """
         self._check(values, mask)
         to_grid = ego_to_grid(self.ego, self.grid, pose)
         window = _window(to_grid, self.ego, self.grid)
         layers = self._probabilities.reshape(-1), self._count.reshape(-1)
-        n = _pull(values, mask, cv2.invertAffineTransform(to_grid), window, self.grid.shape, *layers, *self._touched)
+        n = _pull(
+            values, mask, cv2.invertAffineTransform(to_grid), window, self.grid.shape, *layers, *self._touched
+        )
         touched, new, old, count = (array[:n] for array in self._touched)
         _push(*layers, touched, new, self.rule(old, new, count))
 
@@ -111,10 +115,14 @@ class Mapper:
         for name, array, dtype in (("values", values, np.float32), ("mask", mask, np.bool_)):
             if array.shape != shape or array.dtype != dtype:
                 wanted = np.dtype(dtype).name
-                raise UserError(f"{name}: got {array.dtype} of shape {array.shape}, expected {wanted} of shape {shape}")
+                raise UserError(
+                    f"{name}: got {array.dtype} of shape {array.shape}, expected {wanted} of shape {shape}"
+                )
         low, high = values.min(), values.max()
         if not (low >= 0 and high <= 1):  # NaN compares false, so it is refused too
-            raise UserError(f"values: got {low} to {high}, expected probabilities, 0 to 1; apply the sigmoid before")
+            raise UserError(
+                f"values: got {low} to {high}, expected probabilities, 0 to 1; apply the sigmoid before"
+            )
 
 
 def physical_memory() -> int:
@@ -165,7 +173,9 @@ def _pull(
             for k in range(layers):
                 if mask[k, nearest_r, nearest_c]:
                     upper = values[k, up, left] + right_share * (values[k, up, right] - values[k, up, left])
-                    lower = values[k, down, left] + right_share * (values[k, down, right] - values[k, down, left])
+                    lower = values[k, down, left] + right_share * (
+                        values[k, down, right] - values[k, down, left]
+                    )
                     cell = (k * shape[0] + row) * shape[1] + column
                     touched[n], old[n], count[n] = cell, probabilities[cell], counts[cell]
                     new[n] = upper + down_share * (lower - upper)

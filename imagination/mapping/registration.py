@@ -5,7 +5,7 @@ first write of a cell is taken whole whatever the rule, by the mapper. A new rul
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, Int32
@@ -13,6 +13,7 @@ from jaxtyping import Float32, Int32
 from imagination.errors import check_range
 
 
+@runtime_checkable
 class Rule(Protocol):
     """How old and new values become one."""
 
@@ -79,7 +80,8 @@ class Mean:
     def __call__(
         self, old: Float32[np.ndarray, " n"], new: Float32[np.ndarray, " n"], count: Int32[np.ndarray, " n"]
     ) -> Float32[np.ndarray, " n"]:
-        return old + (new - old) / (count.astype(np.float32) + 1)
+        mean: np.ndarray = old + (new - old) / (count.astype(np.float32) + 1)
+        return mean
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,8 @@ class Max:
     def __call__(
         self, old: Float32[np.ndarray, " n"], new: Float32[np.ndarray, " n"], count: Int32[np.ndarray, " n"]
     ) -> Float32[np.ndarray, " n"]:
-        return np.maximum(old, new)
+        largest: np.ndarray = np.maximum(old, new)
+        return largest
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,9 @@ from imagination.scenes.scene import FreeSpace, Mesh
 MAX_SLOPE = 0.2
 """Steepest floor: horizontal share of the unit normal (11 degrees)."""
 
+ROUNDING = 1e-3
+"""What lies this near to a centre or a border, in cells, counts as on it; vertices are float32."""
+
 
 def free_space(
     mesh: Mesh,
@@ -39,7 +42,9 @@ def free_space(
     check_range("robot_radius", robot_radius, 0.0, 5.0, "m")
     check_range("free space's resolution", resolution, 0.005, 1.0, "m")
     low, high = clearance
-    check_range("clearance", high, max(low, 0.0), 10.0, "m (the upper height, above the lower one)", open_low=True)
+    check_range(
+        "clearance", high, max(low, 0.0), 10.0, "m (the upper height, above the lower one)", open_low=True
+    )
     corners = mesh.vertices[mesh.faces]
     floor = corners[_is_floor(corners, floor_height, low)]
     if len(floor) == 0:
@@ -55,18 +60,20 @@ def free_space(
     free = _largest_part(on_floor & _clear_of(blocked, robot_radius / resolution))
     if not free.any():
         raise UserError(
-            f"free space: a robot of radius {robot_radius} m fits nowhere on the {on_floor.sum() * resolution**2:.1f} m2 "
-            "of floor; choose a smaller radius or another scene"
+            f"free space: a robot of radius {robot_radius} m fits nowhere on the "
+            f"{on_floor.sum() * resolution**2:.1f} m2 of floor; choose a smaller radius or another scene"
         )
     return FreeSpace(grid, free)
 
 
-def _is_floor(corners: Float32[np.ndarray, "m 3 3"], floor_height: float, tolerance: float) -> Bool[np.ndarray, " m"]:
+def _is_floor(
+    corners: Float32[np.ndarray, "m 3 3"], floor_height: float, tolerance: float
+) -> Bool[np.ndarray, " m"]:
     """Which triangles are level and lie within `tolerance` of the floor's height."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     level = np.hypot(normal[:, 0], normal[:, 1]) <= MAX_SLOPE * np.abs(normal[:, 2])
-    solid = normal[:, 2] != 0
-    return level & solid & (np.abs(corners[..., 2] - floor_height) <= tolerance).all(axis=1)
+    near = (np.abs(corners[..., 2] - floor_height) <= tolerance).all(axis=1)
+    return np.logical_and(level & near, normal[:, 2] != 0)
 
 
 def _grid_around(floor: Float32[np.ndarray, "m 3 3"], resolution: float) -> Grid:
@@ -84,14 +91,14 @@ def _clear_of(blocked: Bool[np.ndarray, "h w"], radius: float) -> Bool[np.ndarra
     """Cells whose centre is `radius` cells or more from anything in a blocked cell."""
     distance = cv2.distanceTransform((~blocked).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     half_diagonal = np.sqrt(0.5)  # an obstacle may touch the nearest corner of its cell
-    return ~blocked & (distance >= radius + half_diagonal)
+    return np.logical_and(~blocked, distance >= radius + half_diagonal)
 
 
 def _largest_part(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     if len(stats) == 1:
         return mask
-    return labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    return np.equal(labels, 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA]))
 
 
 @compiled
@@ -110,7 +117,7 @@ def _mark(
     """
     rows, columns = out.shape
     polygon, spare = np.empty((8, 3)), np.empty((8, 3))
-    reach = 1e-6 if by_centre else 0.5  # half the side of the square that must touch the part
+    reach = ROUNDING if by_centre else 0.5 + ROUNDING  # half the side of the square that must touch the part
     for index in range(corners.shape[0]):
         for k in range(3):
             for axis in range(3):
@@ -134,9 +141,13 @@ def _mark(
 
 @compiled
 def _clip(
-    polygon: Float64[np.ndarray, "8 3"], count: int, out: Float64[np.ndarray, "8 3"], bound: float, sign: float
+    polygon: Float64[np.ndarray, "8 3"],
+    count: int,
+    out: Float64[np.ndarray, "8 3"],
+    bound: float,
+    sign: float,
 ) -> int:
-    """Keep the part of a convex polygon where sign * z >= bound (Sutherland and Hodgman); returns its corners' number."""
+    """Keep the part of a convex polygon where sign * z >= bound (Sutherland and Hodgman); returns how many corners."""
     kept = 0
     for k in range(count):
         here, there = polygon[k], polygon[(k + 1) % count]

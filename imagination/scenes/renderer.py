@@ -31,7 +31,7 @@ class Image(NamedTuple):
 
 
 class _Atlas(NamedTuple):
-    """All textures one after the other; `start`, `height` and `width` tell where each material's lies (height 0: none)."""
+    """All textures in a row; `start`, `height` and `width` tell where each material's lies (height 0: none)."""
 
     texels: UInt8[np.ndarray, "t 3"]
     start: Int32[np.ndarray, " k"]
@@ -49,8 +49,8 @@ class _Faces(NamedTuple):
 
 
 class _Hits(NamedTuple):
-    """What each ray hit: the face (-1: none), the weights of its second and third corner, the depth, and the normal on the
-    side from which the corners run counter-clockwise."""
+    """What each ray hit: the face (-1: none), the weights of its second and third corner, the depth, and the normal on
+    the side from which the corners run counter-clockwise."""
 
     face: Int32[np.ndarray, " n"]
     second: Float32[np.ndarray, " n"]
@@ -118,27 +118,34 @@ def _check(mesh: Mesh) -> None:
         raise UserError("renderer: got a mesh without faces, expected at least one; check the scene's files")
     for name in ("face_instance", "face_material", "face_uv"):
         if len(getattr(mesh, name)) != count:
-            raise UserError(f"renderer: got {len(getattr(mesh, name))} rows of mesh.{name}, expected {count}, one a face")
+            raise UserError(
+                f"renderer: got {len(getattr(mesh, name))} rows of mesh.{name}, expected {count}, one a face"
+            )
     for name in ("vertices", "face_uv"):
         if not np.isfinite(getattr(mesh, name)).all():
             raise UserError(f"renderer: got NaN or infinity in mesh.{name}, expected finite numbers")
     _check_indices("faces", mesh.faces, len(mesh.vertices), "vertices")
     _check_indices("face_material", mesh.face_material, len(mesh.materials), "materials")
     if mesh.face_instance.min() < 0:
-        raise UserError(f"renderer: got instance id {mesh.face_instance.min()} in mesh.face_instance, expected 0 or more")
+        raise UserError(
+            f"renderer: got instance id {mesh.face_instance.min()} in mesh.face_instance, expected 0 or more"
+        )
 
 
 def _check_indices(name: str, indices: Int32[np.ndarray, "..."], count: int, of: str) -> None:
     low, high = int(indices.min()), int(indices.max())
     if low < 0 or high >= count:
-        raise UserError(f"renderer: got indices {low} to {high} in mesh.{name}, expected 0 to {count - 1}, one of {of}")
+        raise UserError(
+            f"renderer: got indices {low} to {high} in mesh.{name}, expected 0 to {count - 1}, one of {of}"
+        )
 
 
 def _check_pose(camera_to_world: Float[np.ndarray, "4 4"]) -> None:
     rotation = camera_to_world[:3, :3]
     if not np.isfinite(camera_to_world).all() or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
         raise UserError(
-            f"renderer: got the camera pose {camera_to_world.tolist()}, expected a finite 4 x 4 transform that rotates and shifts"
+            f"renderer: got the camera pose {camera_to_world.tolist()}, expected finite "
+            "numbers that rotate and shift"
         )
 
 
@@ -151,7 +158,7 @@ def _shades(mesh: Mesh, lighting: Lighting) -> Float32[np.ndarray, "m 2 3"]:
     sides = np.stack([np.maximum(cosine, 0.0), np.maximum(-cosine, 0.0)], axis=1)
     light = np.array(lighting.ambient, np.float32) + sides @ lighting.colours
     colours = np.array([material.colour for material in mesh.materials], np.float32)
-    return (255 * light * colours[mesh.face_material][:, None]).astype(np.float32)
+    return np.asarray(255 * light * colours[mesh.face_material][:, None], np.float32)
 
 
 def _pack(materials: tuple[Material, ...]) -> _Atlas:
@@ -183,7 +190,9 @@ def _rays(
             right = (column + 0.5 - centre_x) / focal_length
             for axis in range(3):
                 origins[index, axis] = origin[axis]
-                directions[index, axis] = rotation[axis, 0] * right + rotation[axis, 1] * down + rotation[axis, 2]
+                directions[index, axis] = (
+                    rotation[axis, 0] * right + rotation[axis, 1] * down + rotation[axis, 2]
+                )
             index += 1
     return origins, directions
 
@@ -225,7 +234,9 @@ def _shade(
 
 
 @compiled
-def _texel(atlas: _Atlas, material: int, u: float, v: float) -> tuple[float, float, float]:
+def _texel(
+    atlas: _Atlas, material: int, u: np.float32, v: np.float32
+) -> tuple[np.float32, np.float32, np.float32]:
     """Bilinear colour, 0 to 1, of a repeating texture; its first row is at the top, where v is 1."""
     start, height, width = atlas.start[material], atlas.height[material], atlas.width[material]
     left, right, to_right = _neighbours(u - np.floor(u), width)
@@ -247,8 +258,8 @@ def _texel(atlas: _Atlas, material: int, u: float, v: float) -> tuple[float, flo
 
 
 @compiled
-def _neighbours(share: float, count: int) -> tuple[int, int, float]:
-    """The two texels whose centres lie around `share` (0 to 1) of the way through `count`, and how near the second is."""
+def _neighbours(share: np.float32, count: int) -> tuple[int, int, np.float32]:
+    """The two texels whose centres lie around `share` (0 to 1) of the way through `count`; how near the second is."""
     place = share * np.float32(count) - np.float32(0.5)
     first = int(np.floor(place))
     second = first + 1
@@ -260,9 +271,9 @@ def _neighbours(share: float, count: int) -> tuple[int, int, float]:
 def _mix(
     texels: UInt8[np.ndarray, "t 3"],
     places: tuple[int, int, int, int],
-    weights: tuple[float, float, float, float],
+    weights: tuple[np.float32, np.float32, np.float32, np.float32],
     channel: int,
-) -> float:
+) -> np.float32:
     """Weighted sum of one channel of four texels."""
     return (
         weights[0] * np.float32(texels[places[0], channel])

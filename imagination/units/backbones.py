@@ -39,7 +39,8 @@ class Backbone(nn.Module, ABC):
         self.pool = nn.MaxPool2d(2, ceil_mode=True)
         if image_channels:
             merged = channels[-MERGED:]
-            self.reduce = Convolution(image_channels, merged[0], kernel=1)  # early: an encoder may give 1000 channels
+            # before anything else: an encoder may give hundreds of channels
+            self.reduce = Convolution(image_channels, merged[0], kernel=1)
             self.image_down = nn.ModuleList(map(Convolutions, [merged[0], *merged[:-1]], merged))
             self.merge = nn.ModuleList([Convolution(2 * size, size, kernel=1) for size in merged])
 

@@ -1,6 +1,7 @@
 """Image encoders: RGB in, one feature map out. Any timm model that offers features_only."""
 
 import difflib
+from typing import Any
 
 import timm
 import torch
@@ -43,6 +44,7 @@ class TimmEncoder(nn.Module):
         stages = early_stages(create(name, False, options).feature_info.reduction())
         self.model = create(name, pretrained, options | {"out_indices": stages})
         settings = timm.get_pretrained_cfg(name)
+        assert settings is not None, "check_name lets only models through that timm has settings of"
         self.register_buffer("mean", 255 * torch.tensor(settings.mean).view(3, 1, 1), persistent=False)
         self.register_buffer("deviation", 255 * torch.tensor(settings.std).view(3, 1, 1), persistent=False)
         self.channels = self._try_out(name, height, width)
@@ -71,7 +73,8 @@ class TimmEncoder(nn.Module):
                 "choose another encoder or another camera size"
             ) from error
         weights = list(self.parameters())
-        for weight, gradient in zip(weights, torch.autograd.grad(features.sum(), weights, allow_unused=True), strict=True):
+        gradients = torch.autograd.grad(features.sum(), weights, allow_unused=True)
+        for weight, gradient in zip(weights, gradients, strict=True):
             weight.requires_grad_(gradient is not None)
         self.train()
         return features.shape[1]
@@ -92,13 +95,14 @@ def check_name(name: str) -> None:
         )
 
 
-def size_options(name: str, height: int, width: int) -> dict[str, object]:
+def size_options(name: str, height: int, width: int) -> dict[str, Any]:
     """What to create the model with so that it takes images of the camera's size."""
-    return {"img_size": (height, width)} if timm.get_pretrained_cfg(name).fixed_input_size else {}
+    settings = timm.get_pretrained_cfg(name)
+    return {"img_size": (height, width)} if settings and settings.fixed_input_size else {}
 
 
-def create(name: str, pretrained: bool, options: dict[str, object]) -> nn.Module:
-    """Create a timm model that returns feature maps.
+def create(name: str, pretrained: bool, options: dict[str, Any]) -> Any:
+    """Create a timm model that returns feature maps; timm has no one type for these.
 
     Raises:
         UserError: with timm's reason, if it cannot be created or its weights cannot be loaded.
@@ -109,7 +113,8 @@ def create(name: str, pretrained: bool, options: dict[str, object]) -> nn.Module
         what = "weights cannot be loaded" if pretrained else "feature maps cannot be had"
         advice = "set model.encoder.pretrained=false or go online" if pretrained else "choose another encoder"
         asked = "".join(f", {key}={value}" for key, value in options.items())
-        raise UserError(f"model.encoder.name: got {name!r}{asked}, whose {what} ({error}); {advice}") from error
+        message = f"model.encoder.name: got {name!r}{asked}, whose {what} ({error}); {advice}"
+        raise UserError(message) from error
 
 
 def early_stages(strides: list[int]) -> list[int]:

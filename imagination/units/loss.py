@@ -61,12 +61,12 @@ def imagination_loss(
     views = label.new_full((categories,), batch, dtype=torch.long)
     views, positives, arounds = sum_over_ranks(torch.stack([views, count(positive), count(around)])).unbind()
     cells = views * rows * columns
-    weights = Weights((cells / (positives + 1)).clamp(max=alpha_max), (cells / (arounds + 1)).clamp(max=gamma_max))
-    alpha, gamma = (weight.view(-1, 1, 1) - 1 for weight in weights)
-    weight = alpha * positive + gamma * around + 1
+    w_alpha = (cells / (positives + 1)).clamp(max=alpha_max)
+    w_gamma = (cells / (arounds + 1)).clamp(max=gamma_max)
+    weight = (w_alpha - 1).view(-1, 1, 1) * positive + (w_gamma - 1).view(-1, 1, 1) * around + 1
     total = binary_cross_entropy_with_logits(logits.float(), positive.float(), weight, reduction="sum")
     # each rank divides by its share of all views, so that the mean over ranks is the mean over views
-    return total * ranks() / views[0], weights
+    return total * ranks() / views[0], Weights(w_alpha, w_gamma)
 
 
 def count(mask: Bool[Tensor, "b c v v"]) -> Int64[Tensor, " c"]:

@@ -74,7 +74,10 @@ def ratios(counts: Int64[Tensor, "3 c"]) -> dict[str, Float[Tensor, " c"]]:
 
 
 def neighbourhood(
-    probabilities: Float[Tensor, "b c v v"], seen: UInt8[Tensor, "b 1 v v"], kernel: int, valid_threshold: float
+    probabilities: Float[Tensor, "b c v v"],
+    seen: UInt8[Tensor, "b 1 v v"],
+    kernel: int,
+    valid_threshold: float,
 ) -> Bool[Tensor, "b c v v"]:
     """M*_seen after prediction: dilation([prediction ≥ τ_valid] ∘ V_seen, ε), `kernel` cells a side."""
     return dilate((probabilities >= valid_threshold) & (seen > 0), kernel)

@@ -13,10 +13,10 @@ from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.units.backbones import Backbone, Convolution
 from imagination.units.encoders import TimmEncoder
-from imagination.units.unit import prediction_head
+from imagination.units.unit import Unit, prediction_head
 
 
-class ProjectedUnit(nn.Module):
+class ProjectedUnit(Unit):
     """Each return's image features, and its height, go to the cell it lies in; a cell takes the mean of its returns.
 
     What the image shows thus meets `occupied` and `seen` at its place in the grid, before the backbone; the paper's
@@ -42,8 +42,7 @@ class ProjectedUnit(nn.Module):
         width: int,
         categories: Sequence[str],
     ) -> None:
-        super().__init__()
-        self.categories = list(categories)
+        super().__init__(categories)
         self.encoder = encoder
         self.reduce = Convolution(encoder.channels, width, kernel=1)
         self.projection = Projection(camera, ego, max_height)
@@ -58,7 +57,7 @@ class ProjectedUnit(nn.Module):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """Logits of V_object, from the same inputs as `ImaginationUnit`."""
+        """Logits of V_object; see `Unit`. The images are of the camera's size."""
         image = interpolate(self.reduce(self.encoder(rgb)), size=depth.shape[-2:], mode="bilinear")
         maps = [occupied.float(), seen.float(), self.projection(image, depth)]
         logits: Tensor = self.head(self.backbone(torch.cat(maps, dim=1)))
@@ -94,7 +93,9 @@ class Projection(nn.Module):
         """
         if depth.shape[-2:] != self.rays.shape[-2:]:
             got, expected = tuple(depth.shape[-2:]), tuple(self.rays.shape[-2:])
-            raise UserError(f"depth: got images of {got} pixels, expected the camera's {expected} (see conf, camera)")
+            raise UserError(
+                f"depth: got images of {got} pixels, expected the camera's {expected} (see conf, camera)"
+            )
         batch, channels = image.shape[:2]
         forward, left, up = (depth.float() * self.rays).unbind(1)  # in single precision under autocast too
         height = up + self.mount_height
@@ -122,4 +123,4 @@ def pixel_rays(camera: Camera) -> Float[np.ndarray, "3 h w"]:
     centre_u, centre_v = camera.principal_point
     u, v = np.meshgrid(np.arange(camera.width) + 0.5 - centre_u, np.arange(camera.height) + 0.5 - centre_v)
     optical = np.stack([u / camera.focal_length, v / camera.focal_length, np.ones_like(u)])
-    return np.einsum("ij,jhw->ihw", camera.to_robot()[:3, :3], optical).astype(np.float32)
+    return np.tensordot(camera.to_robot()[:3, :3], optical, axes=1).astype(np.float32)

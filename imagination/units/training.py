@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from lightning import LightningModule
-from torch import Tensor, nn
+from torch import Tensor
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
@@ -16,6 +16,7 @@ from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import kernel_cells
 from imagination.units.loss import imagination_loss, ranks
 from imagination.units.metrics import EgoScores
+from imagination.units.unit import Unit
 
 Batch = Mapping[str, Tensor]
 """rgb uint8 (B, 3, H, W); depth float16 (B, 1, H, W), metres; occupied and seen uint8 (B, 1, V, V); label and
@@ -26,7 +27,7 @@ class UnitTraining(LightningModule):
     """Trains a unit with the paper's loss and scores its egocentric maps.
 
     Args:
-        unit: the network: rgb, depth, occupied, seen to logits; has `categories`.
+        unit: the network.
         ego: grid of the maps.
         neighbourhood: side of the kernel ε of M*_seen, metres.
         optimizer: makes the optimiser, given parameters.
@@ -41,7 +42,7 @@ class UnitTraining(LightningModule):
 
     def __init__(
         self,
-        unit: nn.Module,
+        unit: Unit,
         ego: EgoGrid,
         neighbourhood: float,
         optimizer: Callable[..., Optimizer],
@@ -60,8 +61,8 @@ class UnitTraining(LightningModule):
         check_range("model.module.threshold", threshold, 0, 1)
         check_range("model.module.valid_threshold", valid_threshold, 0, 1)
         kernel = kernel_cells(neighbourhood, ego.resolution)
-        scores = EgoScores(unit.categories, kernel, threshold, valid_threshold)
-        self.scores = nn.ModuleDict({"val": scores, "test": scores.clone()})
+        self.val_scores = EgoScores(unit.categories, kernel, threshold, valid_threshold)
+        self.test_scores = EgoScores(unit.categories, kernel, threshold, valid_threshold)
         self._batch_start = 0.0
 
     def forward(self, batch: Batch) -> Float[Tensor, "b c v v"]:
@@ -74,7 +75,8 @@ class UnitTraining(LightningModule):
         """Probabilities of V_object for a batch on any device, as in evaluation mode and in single precision."""
         training = self.training
         self.eval()
-        probabilities = self({name: tensor.to(self.device) for name, tensor in batch.items()}).float().sigmoid()
+        logits = self({name: tensor.to(self.device) for name, tensor in batch.items()})
+        probabilities: Tensor = logits.float().sigmoid()
         self.train(training)
         return probabilities
 
@@ -89,7 +91,9 @@ class UnitTraining(LightningModule):
             "empty_labels": (batch["label"].amax(dim=(2, 3)) == 0).float().mean(),
             "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"],
         }
-        self.log_dict({f"train/{name}": value for name, value in values.items()}, batch_size=len(batch["label"]))
+        self.log_dict(
+            {f"train/{name}": value for name, value in values.items()}, batch_size=len(batch["label"])
+        )
         return loss
 
     def on_train_batch_start(self, batch: Batch, index: int) -> None:
@@ -100,29 +104,30 @@ class UnitTraining(LightningModule):
         self.log("train/samples_per_second", samples / (perf_counter() - self._batch_start))
 
     def validation_step(self, batch: Batch, index: int) -> None:
-        self._score(batch, "val")
+        self._score(batch, "val", self.val_scores)
 
     def test_step(self, batch: Batch, index: int) -> None:
-        self._score(batch, "test")
+        self._score(batch, "test", self.test_scores)
 
     def on_validation_epoch_end(self) -> None:
-        self._log_scores("val")
+        self._log_scores("val", self.val_scores)
 
     def on_test_epoch_end(self) -> None:
-        self._log_scores("test")
+        self._log_scores("test", self.test_scores)
 
     def configure_optimizers(self) -> Any:  # Lightning's own type for this is a union of many
         optimizer = self.optimizer(self.parameters())
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer)}
 
-    def _score(self, batch: Batch, stage: str) -> None:
+    def _score(self, batch: Batch, stage: str, scores: EgoScores) -> None:
         logits = self(batch).float()
-        loss, _ = imagination_loss(logits, batch["label"], batch["neighbourhood"], self.alpha_max, self.gamma_max)
+        loss, _ = imagination_loss(
+            logits, batch["label"], batch["neighbourhood"], self.alpha_max, self.gamma_max
+        )
         self.log(f"{stage}/loss", loss, batch_size=len(logits), sync_dist=True)
-        self.scores[stage].update(logits.sigmoid(), batch["label"], batch["seen"])
+        scores.update(logits.sigmoid(), batch["label"], batch["seen"])
 
-    def _log_scores(self, stage: str) -> None:
+    def _log_scores(self, stage: str, scores: EgoScores) -> None:
         """Log the scores of all ranks and begin anew."""
-        scores = self.scores[stage]
         self.log_dict({f"{stage}/{name}": value for name, value in scores.compute().items()})
         scores.reset()

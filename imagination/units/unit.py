@@ -1,5 +1,6 @@
 """The imagination unit of the paper (section III-B)."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from math import log
 
@@ -14,7 +15,35 @@ PRIOR = 0.05
 """What an untrained unit answers about every cell: objects are rare, so training need not first learn that."""
 
 
-class ImaginationUnit(nn.Module):
+class Unit(nn.Module, ABC):
+    """What every unit is: one camera image and its depth in, logits of the egocentric maps of some categories out.
+
+    Args:
+        categories: what to imagine, one map each; the paper has one unit for each category.
+    """
+
+    def __init__(self, categories: Sequence[str]) -> None:
+        super().__init__()
+        self.categories = list(categories)
+
+    @abstractmethod
+    def forward(
+        self,
+        rgb: UInt8[Tensor, "b 3 h w"],
+        depth: Float16[Tensor, "b 1 h w"],
+        occupied: UInt8[Tensor, "b 1 v v"],
+        seen: UInt8[Tensor, "b 1 v v"],
+    ) -> Float[Tensor, "b c v v"]:
+        """Logits of V_object; their sigmoid is the imagined map.
+
+        Args:
+            rgb: camera image, 0 to 255.
+            depth: of the same camera along its optical axis, metres; 0 where there is no return.
+            occupied, seen: the depth's projection into the egocentric grid, 0 or 1.
+        """
+
+
+class ImaginationUnit(Unit):
     """Encoder for the image, backbone for the egocentric depth projection; the image's features join on its way down.
 
     Args:
@@ -23,9 +52,10 @@ class ImaginationUnit(nn.Module):
         categories: what to imagine, one map each; the paper has one unit for each category.
     """
 
-    def __init__(self, encoder: TimmEncoder, backbone: Callable[..., Backbone], categories: Sequence[str]) -> None:
-        super().__init__()
-        self.categories = list(categories)
+    def __init__(
+        self, encoder: TimmEncoder, backbone: Callable[..., Backbone], categories: Sequence[str]
+    ) -> None:
+        super().__init__(categories)
         self.encoder = encoder
         self.backbone = backbone(in_channels=2, image_channels=encoder.channels)
         self.head = prediction_head(self.backbone.width, len(categories))
@@ -38,13 +68,7 @@ class ImaginationUnit(nn.Module):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """Logits of V_object; their sigmoid is the imagined map.
-
-        Args:
-            rgb: camera image.
-            depth: of the same camera, metres; this unit knows it only through `occupied` and `seen`.
-            occupied, seen: the depth's projection into the egocentric grid.
-        """
+        """Logits of V_object; see `Unit`. This unit knows the depth only through `occupied` and `seen`."""
         maps = torch.cat([occupied, seen], dim=1).to(self.head.weight.dtype)
         logits: Tensor = self.head(self.backbone(maps, self.encoder(rgb)))
         return logits

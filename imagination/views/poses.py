@@ -20,7 +20,9 @@ def sample_poses(free: FreeSpace, count: int, rng: np.random.Generator) -> list[
     """
     cells = np.argwhere(free.mask)
     if count < 0 or len(cells) == 0:
-        raise UserError(f"poses: got {count} to draw on {len(cells)} free cells, expected at least 0 on at least 1")
+        raise UserError(
+            f"poses: got {count} to draw on {len(cells)} free cells, expected at least 0 on at least 1"
+        )
     chosen = cells[rng.integers(len(cells), size=count)]
     jitter = rng.uniform(-0.5, 0.5, (count, 2)) * free.grid.resolution
     places = free.grid.to_points(chosen) + jitter

@@ -27,9 +27,9 @@ class Viewpoints(NamedTuple):
 def sparse_viewpoints(free: FreeSpace, cell_width: float, rng: np.random.Generator) -> Viewpoints:
     """One random set of viewpoints about `cell_width` apart (Algorithm 1).
 
-    A mesh grid of that spacing starts at the lower left of the free space's bounding box and runs along x first. Its points
-    on free space, tested before anything is added, are all shifted by one offset drawn from ± cell_width / 2 in x and y,
-    and each by one of its own from ± cell_width / 6.
+    A mesh grid of that spacing starts at the lower left of the free space's bounding box and runs along x first. Its
+    points on free space, tested before anything is added, are all shifted by one offset drawn from ± cell_width / 2 in
+    x and y, and each by one of its own from ± cell_width / 6.
 
     Args:
         free: where the robot may stand, one connected part.
@@ -46,8 +46,8 @@ def sparse_viewpoints(free: FreeSpace, cell_width: float, rng: np.random.Generat
     points = candidates[_is_free(free.mask, free.grid, candidates)]
     if len(points) == 0:
         raise UserError(
-            f"cell_width: got {cell_width} m, at which none of the {len(candidates)} points of the mesh grid lies on free "
-            "space; choose a smaller one"
+            f"cell_width: got {cell_width} m, at which none of the {len(candidates)} points of the mesh grid lies on "
+            "free space; choose a smaller one"
         )
     points = points + rng.uniform(-cell_width / 2, cell_width / 2, 2)
     points = points + rng.uniform(-cell_width / 6, cell_width / 6, points.shape)
@@ -64,6 +64,9 @@ def _mesh_grid(free: FreeSpace, cell_width: float) -> Float[np.ndarray, "n 2"]:
     return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
-def _is_free(mask: Bool[np.ndarray, "h w"], grid: Grid, points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+def _is_free(
+    mask: Bool[np.ndarray, "h w"], grid: Grid, points: Float[np.ndarray, "n 2"]
+) -> Bool[np.ndarray, " n"]:
     cells = grid.to_cells(points)
-    return mask[cells[:, 0], cells[:, 1]]
+    found: np.ndarray = mask[cells[:, 0], cells[:, 1]]
+    return found

@@ -43,12 +43,17 @@ def test_kernels_in_cells(size: float, resolution: float, cells: int) -> None:
     assert kernel_cells(size, resolution) == cells
 
 
-@pytest.mark.parametrize(("extent", "resolution", "cells"), [(5.22, 0.02, 261), (40.02, 0.02, 2001), (5.22, 0.06, 87), (40.02, 0.06, 667)])
+@pytest.mark.parametrize(
+    ("extent", "resolution", "cells"),
+    [(5.22, 0.02, 261), (40.02, 0.02, 2001), (5.22, 0.06, 87), (40.02, 0.06, 667)],
+)
 def test_maps_in_cells(extent: float, resolution: float, cells: int) -> None:
     assert cells_of(extent, resolution) == cells
 
 
-@pytest.mark.parametrize(("size", "resolution"), [(-0.1, 0.02), (float("nan"), 0.02), (101.0, 0.02), (0.6, 0.0), (0.6, -1.0)])
+@pytest.mark.parametrize(
+    ("size", "resolution"), [(-0.1, 0.02), (float("nan"), 0.02), (101.0, 0.02), (0.6, 0.0), (0.6, -1.0)]
+)
 def test_kernel_out_of_range_is_refused(size: float, resolution: float) -> None:
     with pytest.raises(UserError, match="got .* expected a number in"):
         kernel_cells(size, resolution)
@@ -83,7 +88,9 @@ def test_dilation_at_paper_size_is_opencvs(kernel: int) -> None:
     mask = np.random.default_rng(kernel).random((2, 3, 261, 261)) < 0.002
     square = np.ones((kernel, kernel), np.uint8)
     for index in np.ndindex(2, 3):
-        assert np.array_equal(dilate(mask, kernel)[index], cv2.dilate(mask[index].astype(np.uint8), square) > 0)
+        assert np.array_equal(
+            dilate(mask, kernel)[index], cv2.dilate(mask[index].astype(np.uint8), square) > 0
+        )
 
 
 @given(masks, kernels)
@@ -112,9 +119,20 @@ def test_closing_fills_stripes_but_not_the_gap_to_the_rim() -> None:
 
 @settings(max_examples=50)
 @given(arrays(np.bool_, (9, 9)), st.integers(0, 4), st.integers(0, 3), st.integers(-3, 3), st.integers(-3, 3))
-def test_odd_kernels_commute_with_turns_and_shifts(mask: np.ndarray, half: int, turns: int, dr: int, dc: int) -> None:
+def test_odd_kernels_commute_with_turns_and_shifts(
+    mask: np.ndarray, half: int, turns: int, dr: int, dc: int
+) -> None:
     kernel = 2 * half + 1
     for grow in (dilate, close):
         assert np.array_equal(np.rot90(grow(mask, kernel), turns), grow(np.rot90(mask, turns).copy(), kernel))
         wide = np.pad(mask, 3 + kernel)
-        assert np.array_equal(np.roll(grow(wide, kernel), (dr, dc), (0, 1)), grow(np.roll(wide, (dr, dc), (0, 1)), kernel))
+        assert np.array_equal(
+            np.roll(grow(wide, kernel), (dr, dc), (0, 1)), grow(np.roll(wide, (dr, dc), (0, 1)), kernel)
+        )
+
+
+@given(masks, kernels, st.floats(0, 1))
+def test_scores_commute_with_thresholds(mask: np.ndarray, kernel: int, threshold: float) -> None:
+    scores = np.random.default_rng(mask.size).random(mask.shape, dtype=np.float32)
+    for grow in (dilate, close):
+        assert np.array_equal(grow(scores, kernel) > threshold, grow(scores > threshold, kernel))

@@ -77,7 +77,7 @@ def test_occupied_cells_are_those_of_the_loop(grid: EgoGrid, pitch: float) -> No
         if 0.2 <= place.height <= 1.5 and 0 <= place.row < grid.cells and 0 <= place.column < grid.cells:
             expected[place.row, place.column] = True
     view = project_depth(depth, cam, grid, OBSTACLES)
-    assert expected.sum() > 50
+    assert expected.sum() > 40
     assert np.array_equal(view.occupied, expected)
     assert view.seen[expected].all()
 
@@ -104,13 +104,13 @@ def test_seen_cells_are_those_that_the_rule_names(pitch: float) -> None:
         if below is None or not (place.height < 0.2 and below.height < 0.2):
             continue
         ends = np.stack([depth[v + k, u] * rays[v + k, u, :2] for k in (0, 1)]) / grid.resolution
-        half = np.abs(ends[:, :1] * 0 + depth[v : v + 2, u, None] / 64) / grid.resolution  # half a pixel's width there
+        half = float(depth[v : v + 2, u].max()) / 64 / grid.resolution  # half a pixel's width there, in cells
         for share in np.linspace(0, 1, 60):
             forward, left = ends[0] + share * (ends[1] - ends[0])
             if abs(forward - round(forward)) < 0.01:  # on the centre line of a row of cells: certainly seen
                 mark(must, grid.cells - 1 - round(forward), grid.cells // 2 - left)
             for side in np.linspace(-1, 1, 9):
-                mark(may, grid.cells - 1 - forward, grid.cells // 2 - left + side * float(half.max()))
+                mark(may, grid.cells - 1 - forward, grid.cells // 2 - left + side * half)
     must, may = must[1:-1, 1:-1], (must | may)[1:-1, 1:-1]
     seen = project_depth(depth, cam, grid, OBSTACLES).seen
     assert must.sum() > 1000
@@ -120,7 +120,7 @@ def test_seen_cells_are_those_that_the_rule_names(pitch: float) -> None:
 
 
 def floor_pair(pixels: int = 64) -> tuple[Camera, np.ndarray]:
-    """Two vertically adjacent floor returns near the middle of the image, 5 and 6.15 m minus the horizon's row away."""
+    """Two vertically adjacent floor returns just right of the image's middle, 3.81 and 3.48 m ahead."""
     cam = camera(pixels)
     depth = np.zeros((pixels, pixels), np.float32)
     for v in (42, 43):
@@ -130,7 +130,7 @@ def floor_pair(pixels: int = 64) -> tuple[Camera, np.ndarray]:
 
 def test_floor_between_two_floor_returns_is_seen() -> None:
     cam, depth = floor_pair()
-    far, near = depth[42, 32], depth[43, 32]  # 3.81 and 3.48 m
+    far, near = depth[42, 32], depth[43, 32]
     rows = np.flatnonzero(project_depth(depth, cam, PAPER, OBSTACLES).seen.any(axis=1))
     assert rows.tolist() == list(range(260 - round(far / 0.02), 260 - round(near / 0.02) + 1))
     # the strip is as wide as a pixel there: 3.65 m / 32 = 0.114 m, 5.7 cells
@@ -156,7 +156,9 @@ def test_floor_elsewhere_is_not_filled(change: str) -> None:
 
 def test_a_step_of_floor_counts_up_to_the_band() -> None:
     cam, depth = floor_pair()
-    depth[42, 32] = (1.25 - 0.19) * 32 / 10.5  # something 0.19 m high is still floor, at 3.23 m, nearer than the other
+    depth[42, 32] = (
+        (1.25 - 0.19) * 32 / 10.5
+    )  # something 0.19 m high is still floor, at 3.23 m, nearer than the other
     assert project_depth(depth, cam, PAPER, OBSTACLES).seen.sum() > 10
 
 
@@ -174,7 +176,12 @@ def test_band_is_inclusive_and_floor_lies_below_it() -> None:
     depth = np.zeros((64, 64), np.float32)
     depth[31, 32] = 8.0  # 1.25 + 8 * 0.5 / 32 = 1.375 exactly
     wide = EgoGrid(0.06, 301)
-    for low, high, occupied, seen in [(0.2, 1.375, 1, 1), (1.375, 1.5, 1, 1), (1.376, 1.5, 0, 1), (0.2, 1.374, 0, 0)]:
+    for low, high, occupied, seen in [
+        (0.2, 1.375, 1, 1),
+        (1.375, 1.5, 1, 1),
+        (1.376, 1.5, 0, 1),
+        (0.2, 1.374, 0, 0),
+    ]:
         view = project_depth(depth, cam, wide, Band(low, high))
         assert (view.occupied.sum(), view.seen.sum()) == (occupied, seen)
 
@@ -205,7 +212,7 @@ def test_a_ray_that_passes_above_a_cell_does_not_see_it() -> None:
     assert project_depth(wall, cam, PAPER, OBSTACLES).seen.any(axis=1).nonzero()[0].tolist() == [110]
 
 
-@pytest.mark.parametrize("boxes", [[], BOXES])
+@pytest.mark.parametrize("boxes", [[], BOXES[1:2], BOXES[2:]])
 @pytest.mark.parametrize("grid", [PAPER, DESK])
 @pytest.mark.parametrize("pitch", [0.0, 15.0])
 def test_seen_does_not_depend_on_the_images_resolution(boxes: list[Box], grid: EgoGrid, pitch: float) -> None:
@@ -235,7 +242,9 @@ def test_a_rolled_camera_sees_the_floor_in_view(roll: float) -> None:
     x, y, z = (np.linalg.inv(cam.to_robot()) @ homogeneous.T)[:3]
     in_view = ((z > 0.01) & (np.abs(x) < z) & (np.abs(y) < z)).reshape(261, 261)
     v, u = np.mgrid[:256, :256] + 0.5
-    down = (cam.to_robot()[2, :3] @ np.stack([(u - 128) / 128, (v - 128) / 128, np.ones_like(u)]).reshape(3, -1)).reshape(u.shape)
+    down = (
+        cam.to_robot()[2, :3] @ np.stack([(u - 128) / 128, (v - 128) / 128, np.ones_like(u)]).reshape(3, -1)
+    ).reshape(u.shape)
     depth = np.where(down < -0.02, -1.25 / np.minimum(down, -0.02), 0).astype(np.float32)
     seen = project_depth(depth, cam, PAPER, OBSTACLES).seen
     assert intersection_over_union(seen, in_view) > 0.97
@@ -284,7 +293,9 @@ def test_categories_are_those_of_the_loop() -> None:
     assert not project_categories(depth, labels, cam, DESK, 3, band, 0.1).any()
 
 
-def world_loop(depth: np.ndarray, cam: Camera, pose: Pose, floor: float, band: Band, grid: Grid) -> np.ndarray:
+def world_loop(
+    depth: np.ndarray, cam: Camera, pose: Pose, floor: float, band: Band, grid: Grid
+) -> np.ndarray:
     rays = pixel_rays(cam)
     out = np.zeros(grid.shape, np.bool_)
     for v, u in np.argwhere(depth > 0):
@@ -293,7 +304,11 @@ def world_loop(depth: np.ndarray, cam: Camera, pose: Pose, floor: float, band: B
         y = pose.y + np.sin(pose.theta) * forward + np.cos(pose.theta) * left
         row = grid.rows - 1 - int(np.floor((y - grid.origin[1]) / grid.resolution))
         column = int(np.floor((x - grid.origin[0]) / grid.resolution))
-        if band.low <= up + cam.mount_height <= band.high and 0 <= row < grid.rows and 0 <= column < grid.columns:
+        if (
+            band.low <= up + cam.mount_height <= band.high
+            and 0 <= row < grid.rows
+            and 0 <= column < grid.columns
+        ):
             out[row, column] = True
     return out
 
@@ -306,7 +321,7 @@ def test_splat_is_that_of_the_loop(theta: float, floor: float) -> None:
     out = np.zeros(grid.shape, np.bool_)
     splat(depth, cam, cam.to_world(pose, floor), floor, OBSTACLES, grid, out)
     expected = world_loop(depth, cam, pose, floor, OBSTACLES, grid)
-    assert expected.sum() > 100
+    assert expected.sum() > 40
     assert np.array_equal(out, expected)
 
 

@@ -5,7 +5,12 @@ from torch import Tensor
 
 
 def random_batch(
-    views: int = 2, size: int = 32, cells: int = 33, categories: int = 1, height: int | None = None, seed: int = 0
+    views: int = 2,
+    size: int = 32,
+    cells: int = 33,
+    categories: int = 1,
+    height: int | None = None,
+    seed: int = 0,
 ) -> dict[str, Tensor]:
     """A batch with the types and shapes that the datamodule delivers; nothing in it fits anything else."""
     generator = torch.Generator().manual_seed(seed)

@@ -1,10 +1,10 @@
 """Run by test_loss.py in two processes: loss and gradients must be those of one process with all views."""
 
 import torch
-from tests.units.batches import random_batch
 from torch import distributed, nn
 
 from imagination.units.loss import imagination_loss
+from tests.units.batches import random_batch
 
 SHARES = (slice(0, 2), slice(2, 7))  # unequal, and the views differ in how much label they hold
 
@@ -15,7 +15,9 @@ def main() -> None:
     logits_in = torch.randn(7, 1, 9, 9, generator=torch.Generator().manual_seed(1))
 
     def step(network: nn.Module, views: slice) -> tuple[torch.Tensor, torch.Tensor]:
-        loss, weights = imagination_loss(network(logits_in[views]), batch["label"][views], batch["neighbourhood"][views])
+        loss, weights = imagination_loss(
+            network(logits_in[views]), batch["label"][views], batch["neighbourhood"][views]
+        )
         loss.backward()
         return loss.detach(), torch.cat(list(weights))
 
@@ -32,6 +34,7 @@ def main() -> None:
     torch.testing.assert_close(loss / 2, loss_alone)
     for ours, expected in zip(network.parameters(), alone.parameters(), strict=True):
         torch.testing.assert_close(ours.grad, expected.grad)
+    del network  # it holds the process group, whose threads must end before the process does
     distributed.destroy_process_group()
 
 

@@ -19,7 +19,9 @@ def test_resnet18_gives_its_first_two_stages_at_an_eighth() -> None:
 def test_images_are_normalised_with_the_model_s_own_constants() -> None:
     encoder = TimmEncoder("resnet18", 32, 32).eval()
     rgb = torch.randint(0, 256, (2, 3, 32, 32), dtype=torch.uint8)
-    mean, deviation = ((torch.tensor(row).view(3, 1, 1)) for row in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)))
+    mean, deviation = (
+        (torch.tensor(row).view(3, 1, 1)) for row in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+    )
     with torch.no_grad():
         early, late = encoder.model((rgb.float() / 255 - mean) / deviation)
         expected = torch.cat([torch.nn.functional.avg_pool2d(early, 2), late], dim=1)
@@ -39,7 +41,9 @@ def test_channels_last_models_are_turned() -> None:
     assert encoder(torch.zeros(1, 3, 64, 64, dtype=torch.uint8)).shape == (1, 96 + 192, 8, 8)
 
 
-@pytest.mark.parametrize(("name", "close"), [("resnet81", "resnet18"), ("resnet18.a1_in2k", "resnet18.a1_in1k")])
+@pytest.mark.parametrize(
+    ("name", "close"), [("resnet81", "resnet18"), ("resnet18.a1_in2k", "resnet18.a1_in1k")]
+)
 def test_an_unknown_name_is_refused_with_close_ones(name: str, close: str) -> None:
     with pytest.raises(UserError, match=f"'{name}'.*{close}"):
         TimmEncoder(name, 32, 32)

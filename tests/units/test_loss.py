@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.units.batches import random_batch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
 from imagination.units.loss import imagination_loss
+from tests.units.batches import random_batch
 
 
 def masks(views: int, cells: int, label: dict[int, int], around: dict[int, int]) -> tuple[Tensor, Tensor]:
@@ -50,11 +50,15 @@ def test_caps() -> None:
     assert (weights.alpha.item(), weights.gamma.item()) == (30, 10)
     _, weights = imagination_loss(torch.zeros(1, 1, 20, 20), label, neighbourhood, alpha_max=7, gamma_max=3)
     assert (weights.alpha.item(), weights.gamma.item()) == (7, 3)
-    _, weights = imagination_loss(torch.zeros(1, 1, 20, 20), label, neighbourhood, alpha_max=1000, gamma_max=1000)
+    _, weights = imagination_loss(
+        torch.zeros(1, 1, 20, 20), label, neighbourhood, alpha_max=1000, gamma_max=1000
+    )
     assert (weights.alpha.item(), weights.gamma.item()) == (200, 200)
 
 
-def loss_by_loop(logits: Tensor, label: Tensor, neighbourhood: Tensor, alpha_max: float, gamma_max: float) -> float:
+def loss_by_loop(
+    logits: Tensor, label: Tensor, neighbourhood: Tensor, alpha_max: float, gamma_max: float
+) -> float:
     """The paper's equations, cell by cell, on probabilities."""
     total, (views, categories, cells, _) = 0.0, label.shape
     for category in range(categories):
@@ -91,7 +95,9 @@ def test_categories_are_counted_apart_and_add_up() -> None:
     logits = torch.randn(3, 3, 9, 9)
     together, weights = imagination_loss(logits, batch["label"], batch["neighbourhood"])
     alone = [
-        imagination_loss(logits[:, c : c + 1], batch["label"][:, c : c + 1], batch["neighbourhood"][:, c : c + 1])
+        imagination_loss(
+            logits[:, c : c + 1], batch["label"][:, c : c + 1], batch["neighbourhood"][:, c : c + 1]
+        )
         for c in range(3)
     ]
     torch.testing.assert_close(together, sum(loss for loss, _ in alone))

@@ -11,17 +11,23 @@ from imagination.units.metrics import EgoScores, dilate, neighbourhood
 
 
 @settings(max_examples=40, deadline=None)
-@given(kernel=st.integers(1, 12), rows=st.integers(1, 20), columns=st.integers(1, 20), seed=st.integers(0, 1000))
+@given(
+    kernel=st.integers(1, 12), rows=st.integers(1, 20), columns=st.integers(1, 20), seed=st.integers(0, 1000)
+)
 def test_dilate_is_opencv_s(kernel: int, rows: int, columns: int, seed: int) -> None:
     mask = np.random.default_rng(seed).random((2, 1, rows, columns)) < 0.1
     grown = dilate(torch.from_numpy(mask), kernel).numpy()
     for view in range(2):
-        # OpenCV's dilation gathers with its anchor at k // 2; a marked cell thus spreads over -(k - 1)//2 to k//2
-        expected = cv2.dilate(mask[view, 0].astype(np.uint8), np.ones((kernel, kernel), np.uint8), iterations=1)
+        # OpenCV gathers with its anchor at k // 2: a marked cell spreads over -(k - 1)//2 to k//2
+        expected = cv2.dilate(
+            mask[view, 0].astype(np.uint8), np.ones((kernel, kernel), np.uint8), iterations=1
+        )
         np.testing.assert_array_equal(grown[view, 0], expected > 0)
 
 
-@pytest.mark.parametrize(("kernel", "low", "high"), [(1, 0, 0), (2, 0, 1), (3, -1, 1), (10, -4, 5), (31, -15, 15)])
+@pytest.mark.parametrize(
+    ("kernel", "low", "high"), [(1, 0, 0), (2, 0, 1), (3, -1, 1), (10, -4, 5), (31, -15, 15)]
+)
 def test_dilate_covers_the_settled_offsets(kernel: int, low: int, high: int) -> None:
     mask = torch.zeros(1, 1, 41, 41, dtype=torch.bool)
     mask[0, 0, 20, 20] = True

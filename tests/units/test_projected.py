@@ -28,7 +28,10 @@ def means_by_loop(image: np.ndarray, depth: np.ndarray, max_height: float) -> np
     for v in range(CAMERA.height):
         for u in range(CAMERA.width):
             z = float(depth[v, u])
-            x, y = (u + 0.5 - centre_u) * z / CAMERA.focal_length, (v + 0.5 - centre_v) * z / CAMERA.focal_length
+            x, y = (
+                (u + 0.5 - centre_u) * z / CAMERA.focal_length,
+                (v + 0.5 - centre_v) * z / CAMERA.focal_length,
+            )
             point = to_robot @ np.array([x, y, z, 1.0])
             row, column = EGO.to_cells(point[None, :2])[0].tolist()
             if z > 0 and point[2] <= max_height and 0 <= row < EGO.cells and 0 <= column < EGO.cells:

@@ -5,7 +5,6 @@ from functools import partial
 import lightning
 import pytest
 import torch
-from tests.units.batches import random_batch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
@@ -18,6 +17,7 @@ from imagination.units.loss import imagination_loss
 from imagination.units.projected import ProjectedUnit
 from imagination.units.training import UnitTraining
 from imagination.units.unit import ImaginationUnit
+from tests.units.batches import random_batch
 
 EGO = EgoGrid(0.12, 17)
 CAMERA = Camera.from_degrees(32, 32, 90.0, 1.25)
@@ -25,7 +25,11 @@ CAMERA = Camera.from_degrees(32, 32, 90.0, 1.25)
 
 def training(kind: type = ImaginationUnit, **options: float) -> UnitTraining:
     torch.manual_seed(0)
-    parts = {"encoder": TimmEncoder("resnet18", 32, 32), "backbone": partial(UNet, width=4), "categories": ["chair"]}
+    parts = {
+        "encoder": TimmEncoder("resnet18", 32, 32),
+        "backbone": partial(UNet, width=4),
+        "categories": ["chair"],
+    }
     if kind is ProjectedUnit:
         parts |= {"camera": CAMERA, "ego": EGO, "max_height": 1.5, "width": 4}
     schedule = partial(torch.optim.lr_scheduler.StepLR, step_size=1, gamma=0.1)

@@ -1,4 +1,4 @@
-"""Beds: the headboard is at -y, the foot at +y."""
+"""Beds: what goes to the wall is at -y: the headboard, or the long side of daybeds and bunk beds."""
 
 from collections.abc import Callable, Mapping
 
@@ -13,11 +13,15 @@ MATTRESS = 0.20
 """Thickness of a mattress, metres."""
 
 
-def _bedding(bed: Assembly, palette: Palette, width: float, length: float, top: float, y: float = 0.0) -> None:
+def _bedding(
+    bed: Assembly, palette: Palette, width: float, length: float, top: float, y: float = 0.0
+) -> None:
     """Mattress, duvet and pillows; `top` is the mattress's upper side."""
     linen, cover = palette.pick(palette.linens), palette.pick(palette.fabrics + palette.linens)
     bed.add(cushion(width, length, MATTRESS, 0.05), linen, (0, y, top - MATTRESS))
-    bed.add(cushion(width + 0.03, length * 0.66, 0.12, 0.05, 0.02), cover, (0, y + length * 0.165, top - 0.06))
+    bed.add(
+        cushion(width + 0.03, length * 0.66, 0.12, 0.05, 0.02), cover, (0, y + length * 0.165, top - 0.06)
+    )
     count = 2 if width > 1.25 else 1
     for x in (np.arange(count) - (count - 1) / 2) * width / 2:
         at = (float(x), y - length / 2 + 0.28, top - 0.01)
@@ -60,10 +64,18 @@ def _upholstered(bed: Assembly, style: Style, palette: Palette) -> None:
     bed.add(cushion(width + 0.06, length + 0.03, top - MATTRESS + 0.02, 0.03), cloth, (0, 0.02, 0.04))
     count = max(2, round(width / 0.45))
     for x in (np.arange(count) - (count - 1) / 2) * (width + 0.06) / count:
-        bed.add(cushion((width + 0.06) / count, pad, style["board"], 0.03), cloth, (float(x), -length / 2 - pad / 2, 0))
+        bed.add(
+            cushion((width + 0.06) / count, pad, style["board"], 0.03),
+            cloth,
+            (float(x), -length / 2 - pad / 2, 0),
+        )
     if "wings" in style:
         for side in (-1, 1):
-            bed.add(cushion(0.08, 0.32, style["board"], 0.03), cloth, (side * (width / 2 + 0.04), -length / 2 + 0.1, 0))
+            bed.add(
+                cushion(0.08, 0.32, style["board"], 0.03),
+                cloth,
+                (side * (width / 2 + 0.04), -length / 2 + 0.1, 0),
+            )
     for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
         bed.add(box(0.05, 0.05, 0.06), palette.dark, (sx * width * 0.45, sy * length * 0.45, 0))
     _bedding(bed, palette, style["width"], style["length"], top)
@@ -126,7 +138,10 @@ def _single(bed: Assembly, style: Style, palette: Palette) -> None:
             for side in (-1, 1):
                 bed.add(box(post, post, style["board"]), wood, (side * (width / 2 + 0.02), y, 0))
             bed.add(box(width, post * 0.5, style["board"] - top + 0.05), wood, (0, y, top - 0.05))
-        bed.add(box(post * 0.5, 2 * end, style["board"] - top + 0.05), wood, (-width / 2 - 0.02, 0, top - 0.05))
+        bed.add(
+            box(post * 0.5, 2 * end, style["board"] - top + 0.05), wood, (-width / 2 - 0.02, 0, top - 0.05)
+        )
+        bed.turn(np.pi / 2)  # its long side is its back
     else:
         _sleigh(bed, style, wood, end)
 
@@ -138,7 +153,11 @@ def _sleigh(bed: Assembly, style: Style, wood: Finish, end: float) -> None:
         out, rise = style["curl"] * share**2.2, 0.1 + (height - 0.1) * share
         x = np.linspace(-0.5, 0.5, 5) * (style["width"] + 0.08)
         points = np.zeros((11, 5, 3))
-        points[..., 0], points[..., 1], points[..., 2] = x * -side, (side * (end + out))[:, None], rise[:, None]
+        points[..., 0], points[..., 1], points[..., 2] = (
+            x * -side,
+            (side * (end + out))[:, None],
+            rise[:, None],
+        )
         bed.add(sheet(points, 0.035), wood)
         roll = (end + style["curl"]) * side
         half = style["width"] / 2 + 0.04
@@ -149,7 +168,11 @@ def _sleigh(bed: Assembly, style: Style, wood: Finish, end: float) -> None:
 
 def _bunk(bed: Assembly, style: Style, palette: Palette) -> None:
     """Two beds, one above the other, with a ladder at the foot."""
-    wood, post, upper = palette.pick(palette.woods + palette.paints + palette.metals[:1]), style["post"], style["upper"]
+    wood, post, upper = (
+        palette.pick(palette.woods + palette.paints + palette.metals[:1]),
+        style["post"],
+        style["upper"],
+    )
     width, length, top = style["width"], style["length"], style["mattress"]
     half, end = width / 2 + post / 2, length / 2 + post / 2
     for sx in (-1, 1):
@@ -168,6 +191,7 @@ def _bunk(bed: Assembly, style: Style, palette: Palette) -> None:
         bed.add(box(0.03, 0.37, 0.03), wood, (half + post / 2 + 0.02, end - 0.235, float(z)))
     if "drawers" in style:
         bed.add(box(width * 0.95, length * 0.9, top - MATTRESS - 0.08), wood, (0, 0, 0.02))
+    bed.turn(np.pi / 2)  # its long side, across from the ladder, is its back
 
 
 BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {

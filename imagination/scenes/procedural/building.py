@@ -10,6 +10,8 @@ from imagination.scenes.procedural.textures import Finish, Palette, tiles
 Corner = tuple[float, float, float]
 FRAME = 0.06
 """Width of door and window frames, metres."""
+PROUD = 0.004
+"""How far a frame stands before the wall's own surface in an opening, so that never two surfaces coincide, metres."""
 
 
 def build_building(plan: Plan, palette: Palette, rng: np.random.Generator) -> Piece:
@@ -19,7 +21,11 @@ def build_building(plan: Plan, palette: Palette, rng: np.random.Generator) -> Pi
         wet = room.kind in ("bathroom", "kitchen")
         building.add(_level(room.x0, room.y0, room.x1, room.y1, 0.0, up=True), palette.floor(wet))
         building.add(_level(room.x0, room.y0, room.x1, room.y1, plan.ceiling, up=False), palette.ceiling)
-        paint = palette.one(tiles, (0.92, 0.93, 0.93), 1.0) if room.kind == "bathroom" else palette.pick(palette.walls)
+        paint = (
+            palette.one(tiles, (0.92, 0.93, 0.93), 1.0)
+            if room.kind == "bathroom"
+            else palette.pick(palette.walls)
+        )
         for side in range(4):
             _wall(building, plan, number, side, paint, palette.white)
     wood = palette.pick([palette.white, *palette.woods])
@@ -57,9 +63,8 @@ def _wall(building: Assembly, plan: Plan, number: int, side: int, paint: Finish,
         if right - left > 1e-6 and high - low > 1e-6:
             corners = [(left, low), (right, low), (right, high), (left, high)]
             points = [(s, at, z) if axis == 0 else (at, s, z) for s, z in corners]
-            # seen from the room, x runs to the left along the south wall and y to the right along the west wall
-            turned = points[::-1] if side in (0, 1) else points
-            building.add(_quad(*(turned if axis == 0 else turned)), paint)
+            # south and east walls would look outwards otherwise
+            building.add(_quad(*(points[::-1] if side in (0, 1) else points)), paint)
             if low == 0.0:
                 _skirting(building, axis, at + inward * 0.006, left, right, white)
 
@@ -85,11 +90,13 @@ def _skirting(building: Assembly, axis: int, at: float, left: float, right: floa
         building.add(box(0.012, length, 0.08), finish, (at, middle, 0.0))
 
 
-def _on_wall(building: Assembly, opening: Opening, solid: Solid, finish: Finish, off: float = 0.0) -> None:
-    """Add a shape that stands in the opening: its x runs along the wall, its y across, its origin at the sill's middle."""
+def _on_wall(
+    building: Assembly, opening: Opening, solid: Solid, finish: Finish, off: float = 0.0, whole: bool = False
+) -> None:
+    """Add a shape standing in the opening: its x runs along the wall, its y across, its origin is the sill's middle."""
     x, y = opening.centre
     turn = 0.0 if opening.axis == 0 else np.pi / 2
-    building.add(solid.moved((0.0, off, 0.0)), finish, (x, y, opening.low), turn)
+    building.add(solid.moved((0.0, off, 0.0)), finish, (x, y, opening.low), turn, whole=whole)
 
 
 def _reveal(building: Assembly, opening: Opening, palette: Palette) -> None:
@@ -108,7 +115,7 @@ def _reveal(building: Assembly, opening: Opening, palette: Palette) -> None:
     _on_wall(building, opening, sill, palette.woods[0] if opening.low == 0 else pale)
     if opening.kind == "window":
         pane = box(width, 0.01, height)
-        _on_wall(building, opening, pane, palette.glass)
+        _on_wall(building, opening, pane, palette.glass, whole=True)
         for share in np.linspace(0, 1, max(2, round(width / 0.8)) + 1):
             at = left + 0.02 + share * (width - 0.04)
             _on_wall(building, opening, box(0.04, 0.05, height).moved((float(at), 0.0, 0.0)), pale)
@@ -120,15 +127,22 @@ def _frame(building: Assembly, opening: Opening, finish: Finish) -> None:
     """Boards around the opening on both faces of the wall."""
     width, height, depth = opening.end - opening.start, opening.high - opening.low, WALL + 0.03
     for side in (-1, 1):
-        board = box(FRAME, depth, height + FRAME).moved((side * (width + FRAME) / 2, 0.0, 0.0))
+        board = box(FRAME, depth, height + FRAME).moved((side * ((width + FRAME) / 2 - PROUD), 0.0, 0.0))
         _on_wall(building, opening, board, finish)
-    _on_wall(building, opening, box(width, depth, FRAME).moved((0.0, 0.0, height)), finish)
+    _on_wall(building, opening, box(width, depth, FRAME).moved((0.0, 0.0, height - PROUD)), finish)
     if opening.kind == "window":
-        _on_wall(building, opening, box(width + 2 * FRAME, WALL + 0.14, 0.025).moved((0.0, 0.0, -0.025)), finish)
+        _on_wall(
+            building, opening, box(width + 2 * FRAME, WALL + 0.14, 0.025).moved((0.0, 0.0, -0.025)), finish
+        )
 
 
 def _leaf(
-    building: Assembly, opening: Opening, rooms: tuple[Room, ...], wood: Finish, palette: Palette, rng: np.random.Generator
+    building: Assembly,
+    opening: Opening,
+    rooms: tuple[Room, ...],
+    wood: Finish,
+    palette: Palette,
+    rng: np.random.Generator,
 ) -> None:
     """An open door: its leaf stands square to the wall, in the room (of the two) that is not the corridor."""
     first, second = opening.rooms

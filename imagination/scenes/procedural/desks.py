@@ -8,7 +8,9 @@ from imagination.scenes.procedural.styles import Style
 from imagination.scenes.procedural.textures import Finish, Palette
 
 
-def _chest(desk: Assembly, finish: Finish, knob: Finish, x: float, width: float, depth: float, height: float) -> None:
+def _chest(
+    desk: Assembly, finish: Finish, knob: Finish, x: float, width: float, depth: float, height: float
+) -> None:
     """Drawers under the top."""
     desk.add(box(width, depth, height - 0.04), finish, (x, 0, 0.04))
     step = (height - 0.07) / 3
@@ -67,7 +69,11 @@ def build_desk(style: Style, palette: Palette) -> Piece:
     if "drawer" in style:
         desk.add(box(length * 0.4, depth * 0.8, 0.07), wood, (length * 0.25, 0, under - 0.07))
     back = -depth / 2 + (0.26 if kind == "hutch_desk" else 0.0)
-    desk.surfaces.append(Surface(-length / 2 + 0.02, back + 0.02, length / 2 - 0.02, depth / 2 - 0.08, height))
+    desk.surfaces.append(
+        Surface(-length / 2 + 0.02, back + 0.02, length / 2 - 0.02, depth / 2 - 0.08, height)
+    )
     middle = float(np.clip((left + right) / 2, -length / 2, length / 2))
-    desk.seats.append(Seat(middle, depth / 2, np.pi, right - left, depth - 0.12, under - 0.07 * ("drawer" in style)))
+    desk.seats.append(
+        Seat(middle, depth / 2, np.pi, right - left, depth - 0.12, under - 0.07 * ("drawer" in style))
+    )
     return desk.finished()

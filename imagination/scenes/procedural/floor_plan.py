@@ -208,12 +208,17 @@ def _suits(cells: list[Cell], rooms: list[Room]) -> float:
     """How well rooms suit their uses; not positive if one is impossible."""
     score = 1.0
     for number, room in enumerate(rooms):
-        behind = {rooms[s.other].kind for s in walls_of(cells, number) if s.other != OUTSIDE and s.length > 1.4}
+        behind = {
+            rooms[s.other].kind for s in walls_of(cells, number) if s.other != OUTSIDE and s.length > 1.4
+        }
         if room.kind == "bedroom" and (room.area < 7.0 or min(room.size) < 2.3):
             score -= 100
         if room.kind in ("dining", "office", "kitchen") and min(room.size) < 1.9:
             score -= 100
-        score += 2.0 * (room.kind in ("kitchen", "dining") and bool(behind & {"living", "dining", "kitchen"} - {room.kind}))
+        score += 2.0 * (
+            room.kind in ("kitchen", "dining")
+            and bool(behind & {"living", "dining", "kitchen"} - {room.kind})
+        )
         score -= room.area / 10 * (room.kind in ("bathroom", "kitchen"))
         score += 1.0 * (room.kind == "bedroom" and "corridor" in behind)
     return score + 10
@@ -253,7 +258,9 @@ def _wish(first: RoomKind, second: RoomKind) -> float:
         return 0.0
     if "corridor" in pair:
         return 1.0
-    return {"bathroom": 4.0, "bedroom": 3.0}.get(first, 2.0) + {"bathroom": 4.0, "bedroom": 3.0}.get(second, 2.0)
+    return {"bathroom": 4.0, "bedroom": 3.0}.get(first, 2.0) + {"bathroom": 4.0, "bedroom": 3.0}.get(
+        second, 2.0
+    )
 
 
 def _doors(rng: Rng, cells: list[Cell], rooms: list[Room]) -> list[Opening] | None:
@@ -294,7 +301,9 @@ def _door(rng: Rng, number: int, wall: Shared, kinds: set[RoomKind]) -> Opening:
 def _facade(rng: Rng, cells: list[Cell], rooms: list[Room]) -> list[Opening]:
     """Windows in the outer walls, and the entrance."""
     openings = []
-    order = sorted(range(len(rooms)), key=lambda n: {"corridor": 0, "living": 1, "kitchen": 2}.get(rooms[n].kind, 3))
+    order = sorted(
+        range(len(rooms)), key=lambda n: {"corridor": 0, "living": 1, "kitchen": 2}.get(rooms[n].kind, 3)
+    )
     entered = False
     for number in order:
         kind = rooms[number].kind
@@ -305,12 +314,20 @@ def _facade(rng: Rng, cells: list[Cell], rooms: list[Room]) -> list[Opening]:
             if not entered and end - start > 0.95:
                 low = start + (end - start - 0.95) * rng.choice([0.0, 1.0])
                 entered = True
-                openings.append(Opening("entrance", (number, OUTSIDE), wall.axis, wall.at, low, low + 0.95, 0.0, 2.05))
-            elif kind != "corridor" and rng.random() < 0.8:
-                width = min(rng.uniform(0.55, 0.8) if kind == "bathroom" else rng.uniform(0.9, 2.0), end - start)
-                low = start + (end - start - width) * rng.uniform(0.25, 0.75)
-                sill = {"bathroom": 1.3, "living": rng.choice([0.12, 0.6, 0.85])}.get(kind, rng.uniform(0.8, 1.05))
                 openings.append(
-                    Opening("window", (number, OUTSIDE), wall.axis, wall.at, low, low + width, float(sill), 2.1)
+                    Opening("entrance", (number, OUTSIDE), wall.axis, wall.at, low, low + 0.95, 0.0, 2.05)
+                )
+            elif kind != "corridor" and rng.random() < 0.8:
+                width = min(
+                    rng.uniform(0.55, 0.8) if kind == "bathroom" else rng.uniform(0.9, 2.0), end - start
+                )
+                low = start + (end - start - width) * rng.uniform(0.25, 0.75)
+                sill = {"bathroom": 1.3, "living": rng.choice([0.12, 0.6, 0.85])}.get(
+                    kind, rng.uniform(0.8, 1.05)
+                )
+                openings.append(
+                    Opening(
+                        "window", (number, OUTSIDE), wall.axis, wall.at, low, low + width, float(sill), 2.1
+                    )
                 )
     return openings

@@ -1,7 +1,8 @@
-"""One thing made of parts in its own frame (x to the right, y to its front, z up, origin on the floor), and where it stands."""
+"""Things made of parts in a frame of their own (x right, y front, z up, origin on the floor), and their places."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -63,15 +64,15 @@ class Piece:
     seats: tuple[Seat, ...] = ()
     surfaces: tuple[Surface, ...] = ()
 
-    @property
+    @cached_property
     def low(self) -> Float[np.ndarray, "3"]:
         """Smallest x, y, z."""
-        return self.vertices.min(axis=0)
+        return np.asarray(self.vertices.min(axis=0))
 
-    @property
+    @cached_property
     def high(self) -> Float[np.ndarray, "3"]:
         """Largest x, y, z."""
-        return self.vertices.max(axis=0)
+        return np.asarray(self.vertices.max(axis=0))
 
 
 @dataclass
@@ -84,11 +85,33 @@ class Assembly:
     surfaces: list[Surface] = field(default_factory=list)
     parts: list[tuple[Solid, Finish, Float[np.ndarray, "m 3 2"]]] = field(default_factory=list)
 
-    def add(self, solid: Solid, finish: Finish, at: Point = (0.0, 0.0, 0.0), yaw: float = 0.0, tilt: float = 0.0) -> None:
-        """Add a part; its texture is laid on before it is tilted, turned and moved, so that grain follows the part."""
-        # parts start at different places of the texture, or neighbouring boards would look the same
-        offset = 0.37 * len(self.parts)
-        self.parts.append((solid.moved(at, yaw, tilt), finish, box_uv(solid) + offset))
+    def add(
+        self,
+        solid: Solid,
+        finish: Finish,
+        at: Point = (0.0, 0.0, 0.0),
+        yaw: float = 0.0,
+        tilt: float = 0.0,
+        whole: bool = False,
+    ) -> None:
+        """Add a part; its texture is laid on before it is tilted, turned and moved, so that grain follows the part.
+
+        With `whole` one copy of the texture covers each side of the part, whatever its size.
+        """
+        if whole:
+            low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
+            uv = (
+                box_uv(Solid((solid.vertices - low) / np.maximum(high - low, 1e-6), solid.faces))
+                * finish.tile
+            )
+        else:
+            # parts start at different places of the texture, or neighbouring boards would look the same
+            uv = box_uv(solid) + 0.37 * len(self.parts)
+        self.parts.append((solid.moved(at, yaw, tilt), finish, uv))
+
+    def turn(self, yaw: float) -> None:
+        """Turn all parts added so far about z."""
+        self.parts = [(solid.moved(yaw=yaw), finish, uv) for solid, finish, uv in self.parts]
 
     def finished(self) -> Piece:
         """The piece of all parts added."""
@@ -102,7 +125,9 @@ class Assembly:
             np.concatenate([solid.vertices for solid in solids]),
             np.concatenate([solid.faces + start for solid, start in zip(solids, starts[:-1], strict=True)]),
             np.concatenate([uv for _, _, uv in self.parts]),
-            np.repeat([row[id(finish)] for _, finish, _ in self.parts], [len(solid.faces) for solid in solids]),
+            np.repeat(
+                [row[id(finish)] for _, finish, _ in self.parts], [len(solid.faces) for solid in solids]
+            ),
             tuple(finishes),
             tuple(self.seats),
             tuple(self.surfaces),
@@ -143,7 +168,9 @@ class Placed:
 
     def footprint(self, margin: float = 0.0) -> Float[np.ndarray, "4 2"]:
         """Corners of its box seen from above, counter-clockwise, grown by `margin` metres."""
-        return rectangle_at(self.piece.low[:2] - margin, self.piece.high[:2] + margin, self.x, self.y, self.yaw)
+        return rectangle_at(
+            self.piece.low[:2] - margin, self.piece.high[:2] + margin, self.x, self.y, self.yaw
+        )
 
     def points(self) -> Float[np.ndarray, "n 3"]:
         """Its vertices at this place."""
@@ -156,4 +183,4 @@ def rectangle_at(
     """Corners of the rectangle from `low` to `high`, turned by `yaw` and moved to (x, y)."""
     corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
     cos, sin = np.cos(yaw), np.sin(yaw)
-    return corners @ np.array([[cos, sin], [-sin, cos]]) + [x, y]
+    return np.asarray(corners @ np.array([[cos, sin], [-sin, cos]]) + [x, y])

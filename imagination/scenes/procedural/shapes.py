@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-Point = Sequence[float]
+Point = Sequence[float | int] | Float[np.ndarray, "3"]
 Outline = Float[np.ndarray, "n 2"]
 
 
@@ -75,12 +75,16 @@ def rounded(width: float, depth: float, radius: float, segments: int = 4) -> Out
 def box(width: float, depth: float, height: float) -> Solid:
     """A box standing on the origin."""
     x, y = width / 2, depth / 2
-    vertices = np.array([[sx * x, sy * y, z] for z in (0.0, height) for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    vertices = np.array(
+        [[sx * x, sy * y, z] for z in (0.0, height) for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    )
     quads = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
     return Solid(vertices, np.array([half for a, b, c, d in quads for half in ((a, b, c), (a, c, d))]))
 
 
-def cushion(width: float, depth: float, height: float, radius: float, puff: float = 0.0, steps: int = 2) -> Solid:
+def cushion(
+    width: float, depth: float, height: float, radius: float, puff: float = 0.0, steps: int = 2
+) -> Solid:
     """A box with round edges standing on the origin, whose top swells by `puff` metres in the middle."""
     half = np.array([width, depth, height]) / 2
     radius = min(radius, *(half * 0.98))
@@ -141,12 +145,12 @@ def tube(path: Sequence[Point], radius: float | Sequence[float], sides: int = 8)
     return loft(np.stack(rings))
 
 
-def bent(corners: Sequence[Point], radius: float, segments: int = 4) -> list[Point]:
+def bent(corners: Sequence[Point], radius: float, segments: int = 4) -> list[Float[np.ndarray, "3"]]:
     """The path through `corners` with its inner corners rounded, for tubes."""
     points = [np.asarray(corner, np.float64) for corner in corners]
-    path: list[Point] = [points[0]]
+    path = [points[0]]
     for before, corner, after in zip(points, points[1:], points[2:], strict=False):
-        reach = min(radius, *(np.linalg.norm(end - corner) / 2.01 for end in (before, after)))
+        reach = min(radius, *(float(np.linalg.norm(end - corner)) / 2.01 for end in (before, after)))
         start = corner + reach * (before - corner) / np.linalg.norm(before - corner)
         stop = corner + reach * (after - corner) / np.linalg.norm(after - corner)
         share = np.linspace(0, 1, segments + 1)[:, None]

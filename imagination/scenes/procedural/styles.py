@@ -60,7 +60,9 @@ class Family:
         """What each parameter may be in a split; held-out families draw from their whole range."""
         slices = SLICES[split] if self.splits == EVERY else (Interval(0.0, 1.0),)
         return {
-            name: tuple(Interval(low + cut.low * (high - low), low + cut.high * (high - low)) for cut in slices)
+            name: tuple(
+                Interval(low + cut.low * (high - low), low + cut.high * (high - low)) for cut in slices
+            )
             for name, (low, high) in self.ranges.items()
         }
 
@@ -82,7 +84,9 @@ class Style:
     @property
     def model(self) -> str:
         """The family's name and a short key of the style, for reports."""
-        text = repr((sorted((name, round(value, 6)) for name, value in self.values.items()), sorted(self.options)))
+        text = repr(
+            (sorted((name, round(value, 6)) for name, value in self.values.items()), sorted(self.options))
+        )
         return f"{self.family.name}/{hashlib.sha256(text.encode()).hexdigest()[:6]}"
 
 
@@ -107,11 +111,29 @@ def families_of(split: Split) -> dict[str, dict[str, dict[str, Intervals]]]:
     return table
 
 
-SEAT = {"width": (0.39, 0.51), "depth": (0.38, 0.48), "seat": (0.42, 0.49), "back": (0.34, 0.60), "rake": (0.03, 0.22)}
+SEAT = {
+    "width": (0.39, 0.51),
+    "depth": (0.38, 0.48),
+    "seat": (0.42, 0.49),
+    "back": (0.34, 0.60),
+    "rake": (0.03, 0.22),
+}
 """Of a dining chair: seat's width, depth and height, height of the back above it, lean of the back (radians)."""
 WOODEN = {**SEAT, "leg": (0.026, 0.050), "splay": (0.0, 0.05)}
-SWIVEL = {"width": (0.43, 0.54), "depth": (0.42, 0.52), "seat": (0.43, 0.53), "star": (0.27, 0.36), "rake": (0.05, 0.25)}
-EASY = {"width": (0.48, 0.66), "depth": (0.48, 0.60), "seat": (0.36, 0.46), "arm": (0.07, 0.18), "rake": (0.10, 0.30)}
+SWIVEL = {
+    "width": (0.43, 0.54),
+    "depth": (0.42, 0.52),
+    "seat": (0.43, 0.53),
+    "star": (0.27, 0.36),
+    "rake": (0.05, 0.25),
+}
+EASY = {
+    "width": (0.48, 0.66),
+    "depth": (0.48, 0.60),
+    "seat": (0.36, 0.46),
+    "arm": (0.07, 0.18),
+    "rake": (0.10, 0.30),
+}
 TOP = {"length": (1.05, 2.30), "depth": (0.72, 1.05), "height": (0.71, 0.78), "thick": (0.02, 0.055)}
 WORK = {"length": (0.95, 1.75), "depth": (0.52, 0.82), "height": (0.70, 0.78), "thick": (0.018, 0.045)}
 LOW = {"length": (0.70, 1.35), "depth": (0.45, 0.75), "height": (0.30, 0.48), "thick": (0.015, 0.05)}
@@ -131,7 +153,7 @@ FAMILIES: tuple[Family, ...] = (
     Family("task_swivel", "office_chair", {**SWIVEL, "back": (0.38, 0.62), "gap": (0.04, 0.18)}, ("arms",)),
     Family("executive_swivel", "office_chair", {**SWIVEL, "back": (0.58, 0.82), "pad": (0.06, 0.13)}, ("arms",)),
     Family("bucket_swivel", "office_chair", {**SWIVEL, "back": (0.30, 0.46), "bowl": (0.04, 0.14)}, ("arms",)),
-    Family("headrest_swivel", "office_chair", {**SWIVEL, "back": (0.46, 0.60), "gap": (0.03, 0.1)}, ("arms",), HELD_OUT),
+    Family("headrest_swivel", "office_chair", {**SWIVEL, "back": (0.46, 0.6), "gap": (0.03, 0.1)}, ("arms",), HELD_OUT),
     Family("club", "armchair", {**EASY, "back": (0.30, 0.52), "lift": (0.03, 0.14)}, ("pillow",)),
     Family("frame_lounge", "armchair", {**EASY, "back": (0.38, 0.62), "leg": (0.028, 0.055)}, ("pillow",)),
     Family("tub", "armchair", {**EASY, "back": (0.26, 0.44), "lift": (0.05, 0.18)}),

@@ -14,7 +14,14 @@ PLACE = 0.58
 """Length of table edge that one diner takes, metres."""
 
 
-def _rectangular_seats(length: float, depth: float, reach: float, ends: float, legs: float, underside: float) -> list[Seat]:
+def _around(half_x: float, half_y: float, height: float) -> Surface:
+    """A surface centred on the table."""
+    return Surface(-half_x, -half_y, half_x, half_y, height)
+
+
+def _rectangular_seats(
+    length: float, depth: float, reach: float, ends: float, legs: float, underside: float
+) -> list[Seat]:
     """Places along both long sides and at the ends.
 
     Args:
@@ -30,7 +37,9 @@ def _rectangular_seats(length: float, depth: float, reach: float, ends: float, l
     for x in (np.arange(count) - (count - 1) / 2) * free / count:
         for side in (-1.0, 1.0):
             yaw = np.pi if side > 0 else 0.0
-            seats.append(Seat(float(x), side * depth / 2, yaw, free / count, min(reach, depth / 2 - 0.03), underside))
+            seats.append(
+                Seat(float(x), side * depth / 2, yaw, free / count, min(reach, depth / 2 - 0.03), underside)
+            )
     if ends > 0 and depth > 0.7:
         for side in (-1.0, 1.0):
             yaw = np.pi / 2 if side > 0 else -np.pi / 2
@@ -63,13 +72,21 @@ def _rectangular(table: Assembly, style: Style, palette: Palette) -> None:
     under, kind = height - thick, style.family.name
     outline = rounded(length, depth, 0.08) if "round_corners" in style else rectangle(length, depth)
     table.add(prism(outline, under, height), wood)
-    table.surfaces.append(Surface(-length / 2, -depth / 2, length / 2, depth / 2, height))
+    table.surfaces.append(_around(length / 2, depth / 2, height))
     if kind == "four_leg_table":
         leg, apron = style["leg"], style["apron"]
         _legs(table, base, length - 0.03, depth - 0.03, leg, under)
         for side in (-1, 1):
-            table.add(box(length - 2 * leg - 0.03, 0.022, apron), base, (0, side * (depth / 2 - 0.04), under - apron))
-            table.add(box(0.022, depth - 2 * leg - 0.03, apron), base, (side * (length / 2 - 0.04), 0, under - apron))
+            table.add(
+                box(length - 2 * leg - 0.03, 0.022, apron),
+                base,
+                (0, side * (depth / 2 - 0.04), under - apron),
+            )
+            table.add(
+                box(0.022, depth - 2 * leg - 0.03, apron),
+                base,
+                (side * (length / 2 - 0.04), 0, under - apron),
+            )
         table.seats = _rectangular_seats(length, depth, depth / 2, 0.30, 2 * leg + 0.06, under - apron)
         return
     leg, inset = style["leg"], min(style["inset"], length / 2 - 0.35)
@@ -93,7 +110,9 @@ def _rectangular(table: Assembly, style: Style, palette: Palette) -> None:
     else:
         table.add(box(bar, 0.025, 0.09), base, (0, 0, under - 0.09))
     reach = depth / 2 - (0.06 if kind == "trestle_table" else 0.03)
-    table.seats = _rectangular_seats(length, depth, reach, max(0.0, inset - 0.02), 2 * (inset + leg) + 0.04, under - 0.06)
+    table.seats = _rectangular_seats(
+        length, depth, reach, max(0.0, inset - 0.02), 2 * (inset + leg) + 0.04, under - 0.06
+    )
 
 
 def _boat(table: Assembly, style: Style, palette: Palette) -> None:
@@ -102,7 +121,10 @@ def _boat(table: Assembly, style: Style, palette: Palette) -> None:
     length, depth, height, thick = style["length"] + 0.25, style["depth"], style["height"], style["thick"]
     along = np.linspace(-0.5, 0.5, 13)
     bow = depth / 2 * (1 - 0.9 * along**2)
-    outline = np.concatenate([np.column_stack([along, -bow]), np.column_stack([along[::-1], bow[::-1]])]) * [length, 1.0]
+    outline = np.concatenate([np.column_stack([along, -bow]), np.column_stack([along[::-1], bow[::-1]])]) * [
+        length,
+        1.0,
+    ]
     table.add(prism(outline, height - thick, height), wood)
     stem, foot = style["stem"], min(style["foot"], depth * 0.75)
     column = [(stem, 0.05), (stem * 0.6, 0.25), (stem, 0.45), (stem * 0.7, height - thick)]
@@ -111,7 +133,7 @@ def _boat(table: Assembly, style: Style, palette: Palette) -> None:
         table.add(lathe(column, 16), wood, (x, 0, 0))
         table.add(box(0.09, foot, 0.06), wood, (x, 0, 0))
         table.add(box(0.09, foot * 0.8, 0.04), wood, (x, 0, height - thick - 0.04))
-    table.surfaces.append(Surface(-length / 2.2, -depth / 2.6, length / 2.2, depth / 2.6, height))
+    table.surfaces.append(_around(length / 2.2, depth / 2.6, height))
     table.seats = _rectangular_seats(length, depth * 0.9, 0.22, 0.30, length * 0.2, height - thick - 0.04)
 
 
@@ -128,7 +150,7 @@ def _round(table: Assembly, style: Style, palette: Palette) -> None:
     for side in (-1, 1):
         table.add(box(2 * reach, 0.022, 0.06), base, (0, side * reach, height - thick - 0.06))
         table.add(box(0.022, 2 * reach, 0.06), base, (side * reach, 0, height - thick - 0.06))
-    table.surfaces.append(Surface(*(np.array([-1, -1, 1, 1]) * across * 0.34).tolist(), height))
+    table.surfaces.append(_around(across * 0.34, across * 0.34, height))
     # four places between the legs
     table.seats = [
         Seat(float(across / 2 * np.cos(a)), float(across / 2 * np.sin(a)), float(a + np.pi / 2), 2 * reach - 0.06,
@@ -145,16 +167,23 @@ def _pedestal(table: Assembly, style: Style, palette: Palette) -> None:
     length = across * 1.4 if "oval" in style else across
     table.add(prism(ellipse(length, across), height - thick, height), top)
     foot = across * style["foot"] / 2
-    profile = [(foot, 0), (foot, 0.02), (stem * 1.2, 0.07), (stem, 0.2), (stem, height - 0.2), (foot * 0.6, height - thick)]
+    profile = [
+        (foot, 0),
+        (foot, 0.02),
+        (stem * 1.2, 0.07),
+        (stem, 0.2),
+        (stem, height - 0.2),
+        (foot * 0.6, height - thick),
+    ]
     table.add(lathe(profile, 28), base)
-    table.surfaces.append(Surface(*(np.array([-length, -across, length, across]) * 0.33).tolist(), height))
+    table.surfaces.append(_around(length * 0.33, across * 0.33, height))
     table.seats = _round_seats(length, across, across / 2 - stem * 1.2 - 0.1, height - thick)
 
 
 def _low(table: Assembly, style: Style, palette: Palette) -> None:
     """Coffee tables with a rectangular or oval top."""
     top = palette.pick(palette.woods + palette.stones)
-    length, depth, height, thick = style["length"], style["depth"], style["height"], style["thick"]
+    length, depth, height = style["length"], style["depth"], style["height"]
     leg, under, kind = style["leg"], style["height"] - style["thick"], style.family.name
     outline = ellipse(length, depth) if "oval" in style else rectangle(length, depth)
     table.add(prism(outline, under, height), top)
@@ -173,7 +202,7 @@ def _low(table: Assembly, style: Style, palette: Palette) -> None:
         _legs(table, legs, length - 0.02, depth - 0.02, leg, under)
         if "shelf" in style:
             table.add(box(length - 0.04, depth - 0.04, 0.018), legs, (0, 0, height * 0.3))
-    table.surfaces.append(Surface(-length * 0.36, -depth * 0.36, length * 0.36, depth * 0.36, height))
+    table.surfaces.append(_around(length * 0.36, depth * 0.36, height))
 
 
 def _small_round(table: Assembly, style: Style, palette: Palette) -> None:
@@ -194,21 +223,38 @@ def _small_round(table: Assembly, style: Style, palette: Palette) -> None:
             reach, splay, leg = across * 0.30, style["splay"], style["leg"]
             for angle in np.arange(3) * 2 * np.pi / 3 + 0.4:
                 direction = np.array([np.cos(angle), np.sin(angle)])
-                foot_at, top_at = (*(direction * (reach + splay)), 0.0), (*(direction * reach), height - thick)
+                foot_at, top_at = (
+                    (*(direction * (reach + splay)), 0.0),
+                    (*(direction * reach), height - thick),
+                )
                 table.add(tube([foot_at, top_at], [leg * 0.35, leg * 0.5], 8), base)
             if "shelf" in style:
-                table.add(prism(ellipse(across * 0.7, across * 0.7, 24), 0, 0.015), top, (0, 0, height * 0.35))
-    table.surfaces.append(Surface(*(np.array([-1, -1, 1, 1]) * across * 0.32).tolist(), height))
+                table.add(
+                    prism(ellipse(across * 0.7, across * 0.7, 24), 0, 0.015), top, (0, 0, height * 0.35)
+                )
+    table.surfaces.append(_around(across * 0.32, across * 0.32, height))
 
 
 def _square_side(table: Assembly, style: Style, palette: Palette) -> None:
     """A small square table."""
-    wood, across, height, thick = palette.pick(palette.woods), style["across"], style["height"], style["thick"]
+    wood, across, height, thick = (
+        palette.pick(palette.woods),
+        style["across"],
+        style["height"],
+        style["thick"],
+    )
     table.add(box(across, across, thick), wood, (0, 0, height - thick))
-    _legs(table, palette.pick([wood, *palette.metals]), across - 0.02, across - 0.02, style["leg"], height - thick)
+    _legs(
+        table,
+        palette.pick([wood, *palette.metals]),
+        across - 0.02,
+        across - 0.02,
+        style["leg"],
+        height - thick,
+    )
     if "shelf" in style:
         table.add(box(across - 0.04, across - 0.04, 0.015), wood, (0, 0, height * 0.3))
-    table.surfaces.append(Surface(*(np.array([-1, -1, 1, 1]) * across * 0.42).tolist(), height))
+    table.surfaces.append(_around(across * 0.42, across * 0.42, height))
 
 
 BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {

@@ -34,14 +34,18 @@ def noise(rng: np.random.Generator, across: float, along: float) -> Grey:
     u, v = np.fft.fftfreq(SIDE)[None, :] * SIDE, np.fft.fftfreq(SIDE)[:, None] * SIDE
     weight = np.exp(-((u * across) ** 2) - (v * along) ** 2)
     field = np.fft.ifft2(np.fft.fft2(rng.standard_normal((SIDE, SIDE))) * weight).real
-    return (field - field.mean()) / max(float(field.std()), 1e-9)
+    return np.asarray((field - field.mean()) / max(float(field.std()), 1e-9))
 
 
 def _image(grey: Grey, tint: Grey | None = None) -> Image:
-    """A brightness around 1 as an image; `tint` reddens where it is positive. White stands at 220, to leave head room."""
+    """A brightness around 1 as an image, 1 at level 220 to leave head room; `tint` reddens where it is positive."""
     tint = np.zeros_like(grey) if tint is None else tint
     channels = np.stack([grey * (1 + tint), grey, grey * (1 - tint)], axis=-1)
-    return np.clip(channels * 220, 0, 255).astype(np.uint8)
+    return _pixels(channels * 220)
+
+
+def _pixels(levels: Float[np.ndarray, "s s 3"]) -> Image:
+    return np.asarray(np.clip(levels, 0, 255), np.uint8)
 
 
 def wood(rng: np.random.Generator) -> Image:
@@ -57,7 +61,9 @@ def planks(rng: np.random.Generator) -> Image:
     board = column * boards // SIDE
     shade, joint = rng.normal(0, 0.07, boards)[board], rng.integers(0, SIDE, boards)[board]
     gap = (np.abs(column - np.round((board + 0.5) * SIDE / boards)) > SIDE / boards / 2 - 1) | (row == joint)
-    return _image((1 + shade + 0.05 * noise(rng, 0.01, 0.25)) * np.where(gap, 0.6, 1.0), 0.03 * noise(rng, 0.08, 0.5))
+    return _image(
+        (1 + shade + 0.05 * noise(rng, 0.01, 0.25)) * np.where(gap, 0.6, 1.0), 0.03 * noise(rng, 0.08, 0.5)
+    )
 
 
 def herringbone(rng: np.random.Generator) -> Image:
@@ -139,23 +145,31 @@ def painting(rng: np.random.Generator) -> Image:
     shades = rng.uniform(0.15, 1.0, (4, 3))
     choice = (first > 0).astype(int) * 2 + (second + np.linspace(-1, 1, SIDE)[:, None] > 0)
     grain = 1 + 0.08 * noise(rng, 0.02, 0.02)[..., None]
-    return np.clip(shades[choice] * grain * 235, 0, 255).astype(np.uint8)
+    return _pixels(shades[choice] * grain * 235)
 
 
 def sky(rng: np.random.Generator) -> Image:
     """What a window shows: bright above, a blurred skyline or trees below."""
     height = np.linspace(0, 1, SIDE)[::-1, None] + 0 * np.zeros((1, SIDE))
     ground = height < 0.32 + 0.08 * noise(rng, 0.1, 4.0)
-    day = np.stack([0.80 + 0.12 * (1 - height), 0.88 + 0.08 * (1 - height), np.full_like(height, 0.99)], axis=-1)
+    day = np.stack(
+        [0.80 + 0.12 * (1 - height), 0.88 + 0.08 * (1 - height), np.full_like(height, 0.99)], axis=-1
+    )
     land = np.array([0.45, 0.55, 0.42]) * (1 + 0.12 * noise(rng, 0.05, 0.05))[..., None]
-    return np.clip(np.where(ground[..., None], land, day) * 255, 0, 255).astype(np.uint8)
+    return _pixels(np.where(ground[..., None], land, day) * 255)
 
 
 WOODS: list[Colour] = [
     (0.80, 0.62, 0.42), (0.66, 0.46, 0.28), (0.42, 0.27, 0.17), (0.27, 0.18, 0.13),
     (0.88, 0.76, 0.58), (0.72, 0.50, 0.34), (0.55, 0.48, 0.42), (0.93, 0.92, 0.90),
 ]  # fmt: skip
-METALS: list[Colour] = [(0.75, 0.76, 0.78), (0.16, 0.16, 0.17), (0.45, 0.46, 0.48), (0.78, 0.66, 0.42), (0.92, 0.92, 0.93)]
+METALS: list[Colour] = [
+    (0.75, 0.76, 0.78),
+    (0.16, 0.16, 0.17),
+    (0.45, 0.46, 0.48),
+    (0.78, 0.66, 0.42),
+    (0.92, 0.92, 0.93),
+]
 LEATHERS: list[Colour] = [(0.14, 0.12, 0.12), (0.40, 0.24, 0.15), (0.62, 0.45, 0.30), (0.85, 0.82, 0.76)]
 WALLS: list[Colour] = [
     (0.96, 0.95, 0.92), (0.93, 0.90, 0.84), (0.86, 0.89, 0.90), (0.84, 0.88, 0.81),
@@ -188,7 +202,9 @@ class Palette:
         """One of several finishes."""
         return finishes[int(self._rng.integers(len(finishes)))]
 
-    def one(self, pattern: Callable[[np.random.Generator], Image] | None, colour: Colour, tile: float) -> Finish:
+    def one(
+        self, pattern: Callable[[np.random.Generator], Image] | None, colour: Colour, tile: float
+    ) -> Finish:
         """A finish of its own."""
         return Finish(Material(colour, None if pattern is None else pattern(self._rng)), tile)
 
@@ -198,7 +214,9 @@ class Palette:
             return self.one(tiles, self._near([(0.85, 0.83, 0.80), (0.6, 0.6, 0.6), (0.78, 0.70, 0.60)]), 1.4)
         kind = int(self._rng.integers(4))
         if kind == 3:
-            return self.one(carpet, self._near([(0.70, 0.66, 0.60), (0.45, 0.47, 0.52), (0.60, 0.50, 0.45)]), 0.6)
+            return self.one(
+                carpet, self._near([(0.70, 0.66, 0.60), (0.45, 0.47, 0.52), (0.60, 0.50, 0.45)]), 0.6
+            )
         return self.one(herringbone if kind == 2 else planks, self._near(WOODS[:7]), 1.1)
 
     def accent(self) -> Finish:
@@ -206,14 +224,20 @@ class Palette:
         return Finish(Material(self._any()))
 
     def _several(
-        self, pattern: Callable[[np.random.Generator], Image] | None, count: int, colour: Callable[[], Colour], tile: float
+        self,
+        pattern: Callable[[np.random.Generator], Image] | None,
+        count: int,
+        colour: Callable[[], Colour],
+        tile: float,
     ) -> list[Finish]:
         image = None if pattern is None else pattern(self._rng)
         return [Finish(Material(colour(), image), tile) for _ in range(count)]
 
     def _near(self, colours: list[Colour]) -> Colour:
         base = np.array(colours[int(self._rng.integers(len(colours)))])
-        red, green, blue = np.clip(base * self._rng.uniform(0.88, 1.08) + self._rng.normal(0, 0.015, 3), 0, 1).tolist()
+        red, green, blue = np.clip(
+            base * self._rng.uniform(0.88, 1.08) + self._rng.normal(0, 0.015, 3), 0, 1
+        ).tolist()
         return red, green, blue
 
     def _any(self) -> Colour:
@@ -223,5 +247,7 @@ class Palette:
         return red, green, blue
 
     def _pale(self) -> Colour:
-        red, green, blue = np.clip(self._rng.uniform(0.78, 0.97) + self._rng.uniform(-0.06, 0.06, 3), 0, 1).tolist()
+        red, green, blue = np.clip(
+            self._rng.uniform(0.78, 0.97) + self._rng.uniform(-0.06, 0.06, 3), 0, 1
+        ).tolist()
         return red, green, blue

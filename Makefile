@@ -1,0 +1,30 @@
+# setup: the environment in .venv · train: the main job · test: lints, types, tests · slow, mutate: the long checks
+VENV ?= .venv
+PYTHON ?= python3
+RUN := $(VENV)/bin/python
+ARGS ?= +experiment=chair_unet
+
+.PHONY: setup train test slow mutate
+
+setup: $(VENV)/.made
+
+$(VENV)/.made: requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or later is needed"'
+	$(PYTHON) -m venv $(VENV)
+	$(RUN) -m pip install --disable-pip-version-check -r requirements.lock
+	$(RUN) -m pip install --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+train: setup
+	$(RUN) -m imagination.train $(ARGS)
+
+test: setup
+	$(RUN) -m ruff check .
+	$(RUN) -m mypy
+	$(RUN) -m pytest -n 2
+
+slow: setup
+	$(RUN) -m pytest -m slow
+
+mutate: setup
+	$(RUN) tests/mutate.py

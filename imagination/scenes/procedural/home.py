@@ -1,0 +1,140 @@
+"""One home: plan, building and furniture put together into a scene."""
+
+import numpy as np
+from jaxtyping import Float, Int32
+
+from imagination.categories import CategoryTable
+from imagination.errors import UserError
+from imagination.scenes.free_space import free_space
+from imagination.scenes.procedural.building import build_building
+from imagination.scenes.procedural.floor_plan import Plan, draw_plan
+from imagination.scenes.procedural.furnishing import furnish
+from imagination.scenes.procedural.pieces import Piece, Placed
+from imagination.scenes.procedural.stock import STYLED, Stock
+from imagination.scenes.procedural.textures import Finish
+from imagination.scenes.scene import SPLITS, FreeSpace, Lighting, Mesh, OrientedBox, Scene, SceneObject, Split
+
+ATTEMPTS = 12
+"""Homes drawn before giving up; nearly always the first is good."""
+REQUIRED: tuple[frozenset[str], ...] = (
+    frozenset({"chair"}),
+    frozenset({"dining_table", "desk"}),
+    frozenset({"double_bed", "single_bed", "bunk_bed"}),
+)
+"""Every home has something of each of these."""
+ROOM_SHARE = 0.08
+"""Share of each room's floor that must be free and reachable, at least one cell."""
+
+
+def build_home(
+    name: str, seed: int, split: Split, number: int, categories: CategoryTable, robot_radius: float
+) -> Scene:
+    """Build a home; it depends on nothing but the arguments.
+
+    Raises:
+        UserError: if none of ATTEMPTS draws gives a home in which the robot reaches every room.
+    """
+    for attempt in range(ATTEMPTS):
+        rng = np.random.default_rng([seed, SPLITS.index(split), number, attempt])
+        plan = draw_plan(rng)
+        stock = Stock(split, rng)
+        furniture = furnish(plan, stock, robot_radius)
+        labels = {thing.piece.label for thing in furniture}
+        if not all(labels & any_of for any_of in REQUIRED):
+            continue
+        building = Placed(build_building(plan, stock.palette, rng))
+        yaw = float(rng.uniform(-np.pi, np.pi))
+        lighting = _lighting(rng)
+        centre = _middle(building.within(0.0, 0.0, yaw))
+        things = [thing.within(-centre[0], -centre[1], yaw) for thing in (building, *furniture)]
+        mesh = _mesh(things)
+        try:
+            free = free_space(mesh, 0.0, robot_radius)
+        except UserError:
+            continue
+        if _reaches_all(free, plan, things[0]):
+            objects = tuple(_object(i, thing, categories) for i, thing in enumerate(things) if i > 0)
+            return Scene(name, mesh, lighting, objects, free, 0.0, plan.ceiling)
+    raise UserError(
+        f"{name}: none of {ATTEMPTS} draws gave a home that a robot of radius {robot_radius} m gets through; "
+        "choose another seed or a smaller radius"
+    )
+
+
+def _middle(building: Placed) -> Float[np.ndarray, "2"]:
+    points = building.points()[:, :2]
+    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
+
+
+def _mesh(things: list[Placed]) -> Mesh:
+    """One mesh of all things; a thing's number is its instance id."""
+    pieces = [thing.piece for thing in things]
+    finishes: dict[int, Finish] = {id(finish): finish for piece in pieces for finish in piece.finishes}
+    row = {key: number for number, key in enumerate(finishes)}
+    starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    return Mesh(
+        np.concatenate([thing.points() for thing in things]).astype(np.float32),
+        np.concatenate(
+            [piece.faces + start for piece, start in zip(pieces, starts[:-1], strict=True)]
+        ).astype(np.int32),
+        np.repeat(np.arange(len(pieces)), [len(piece.faces) for piece in pieces]).astype(np.int32),
+        np.concatenate([_rows(piece, row) for piece in pieces]),
+        np.concatenate([_uv(piece) for piece in pieces]).astype(np.float32),
+        tuple(finish.material for finish in finishes.values()),
+    )
+
+
+def _rows(piece: Piece, row: dict[int, int]) -> Int32[np.ndarray, " m"]:
+    """The mesh's material of each face of a piece."""
+    return np.asarray(np.array([row[id(finish)] for finish in piece.finishes], np.int32)[piece.face_finish])
+
+
+def _uv(piece: Piece) -> Float[np.ndarray, "m 3 2"]:
+    """Texture coordinates in copies of the texture."""
+    tile = np.array([finish.tile for finish in piece.finishes])[piece.face_finish]
+    return np.asarray(piece.uv / tile[:, None, None])
+
+
+def _object(instance: int, thing: Placed, categories: CategoryTable) -> SceneObject:
+    low, high = thing.piece.low, thing.piece.high
+    middle = Placed(thing.piece, *((low + high)[:2] / 2).tolist()).within(thing.x, thing.y, thing.yaw)
+    centre = (middle.x, middle.y, float(thing.z + (low[2] + high[2]) / 2))
+    width, depth, height = (high - low).tolist()
+    label = thing.piece.label
+    yaw = float(np.arctan2(np.sin(thing.yaw), np.cos(thing.yaw)))
+    box = OrientedBox(centre, (width, depth, height), yaw)
+    model = thing.piece.model if label in STYLED else label
+    return SceneObject(instance, label, categories.of_label("procedural", label), box, model)
+
+
+def _reaches_all(free: FreeSpace, plan: Plan, building: Placed) -> bool:
+    """Whether enough of each room's floor is within the connected free space."""
+    rows, columns = np.nonzero(free.mask)
+    points = free.grid.to_points(np.stack([rows, columns], axis=-1)) - (building.x, building.y)
+    cos, sin = np.cos(building.yaw), np.sin(building.yaw)
+    local = points @ np.array([[cos, -sin], [sin, cos]])  # back into the plan's frame
+    cell = free.grid.resolution**2
+    for room in plan.rooms:
+        inside = (local >= (room.x0, room.y0)) & (local <= (room.x1, room.y1))
+        if inside.all(axis=1).sum() * cell < ROOM_SHARE * room.area:
+            return False
+    return True
+
+
+def _lighting(rng: np.random.Generator) -> Lighting:
+    """Light from above and from two sides, warm or cold, brighter or dimmer."""
+    warm = rng.uniform(-1, 1)
+    tint = np.array([1 + 0.06 * warm, 1.0, 1 - 0.09 * warm])
+    turn = rng.uniform(0, 2 * np.pi) + np.array([0.0, 2.2])
+    directions = [
+        [np.cos(angle), np.sin(angle), height]
+        for angle, height in zip(turn, rng.uniform(0.4, 1.0, 2), strict=True)
+    ]
+    directions.append([0.15, -0.1, 1.0])
+    unit = np.array(directions) / np.linalg.norm(directions, axis=1, keepdims=True)
+    strengths = rng.uniform([0.30, 0.18, 0.15], [0.50, 0.36, 0.3])
+    ambient = rng.uniform(0.50, 0.68) * tint
+    red, green, blue = ambient.tolist()
+    return Lighting(
+        (red, green, blue), unit.astype(np.float32), (strengths[:, None] * tint).astype(np.float32)
+    )

@@ -1,0 +1,47 @@
+"""What all tests share: shapes are checked, one thread each, commands run as a user runs them."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two cores
+
+import pytest
+from jaxtyping import install_import_hook
+
+import tests.shapes
+
+install_import_hook("imagination", f"{tests.shapes.__name__}.checked")
+
+ROOT = Path(__file__).resolve().parents[1]
+
+Command = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> Command:
+    """Runs `python -m imagination.<name> <arguments>` in an empty folder, as in a terminal without colours."""
+
+    def run(name: str, *arguments: str, timeout: float = 180.0) -> subprocess.CompletedProcess[str]:
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        return subprocess.run(
+            [sys.executable, "-m", f"imagination.{name}", *arguments],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+        )
+
+    return run
+
+
+@pytest.fixture
+def example_plugin(tmp_path: Path) -> Iterator[Path]:
+    """The example plugin in plugins/ of the folder that commands run in."""
+    folder = tmp_path / "plugins" / "example"
+    folder.parent.mkdir()
+    folder.symlink_to(ROOT / "tests" / "plugins_example", target_is_directory=True)
+    yield folder
