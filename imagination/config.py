@@ -14,32 +14,36 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from imagination import plugins
 from imagination.errors import UserError, check_choice, check_range
+from imagination.geometry.grid import cells_of
 from imagination.runs import check_name
 
 RANGES: Mapping[str, tuple[float, float, str]] = {
-    "scale.resolution": (0.005, 1.0, "m"),
-    "scale.ego_extent": (0.5, 100.0, "m"),
-    "scale.world_extent": (1.0, 10_000.0, "m"),
-    "scale.rounds": (1, 1e9, "rounds"),
-    "scale.batch_size": (1, 100_000, "views"),
-    "scale.learning_rate": (0.0, 10.0, ""),
-    "scale.unit_width": (1, 1024, "channels"),
-    "scale.workers": (0, 1024, "processes"),
-    "scale.viewpoint_sets": (1, 10_000, ""),
-    "scale.orientations": (1, 1000, ""),
+    "seed": (0, 2**32 - 1, ""),
+    "aggregation_factor": (0.0, 1.0, ""),
     "kernels.imaginable": (0.005, 10.0, "m"),
     "kernels.neighbourhood": (0.005, 10.0, "m"),
     "kernels.truth": (0.005, 10.0, "m"),
-    "aggregation_factor": (0.0, 1.0, ""),
     "robot.radius": (0.0, 2.0, "m"),
-    "seed": (0, 2**32 - 1, ""),
+    "scale.resolution": (0.005, 1.0, "m"),
+    "scale.ego_extent": (0.5, 100.0, "m"),
+    "scale.world_extent": (1.0, 10_000.0, "m"),
+    "scale.batch_size": (1, 100_000, "views"),
+    "scale.rounds": (1, 10**9, "rounds"),
+    "scale.learning_rate": (0.0, 10.0, ""),
+    "scale.unit_width": (1, 1024, "channels"),
+    "scale.viewpoint_sets": (1, 10_000, ""),
+    "scale.orientations": (1, 1000, ""),
+    "scale.workers": (0, 1024, "processes"),
+    "trainer.max_epochs": (1, 10**9, "rounds"),
 }
-"""What is checked before anything is built, with units; builders check what they get as well."""
+"""What is checked before anything is built; builders check what they get as well. Whole bounds mean whole numbers."""
+
+CELL_WIDTH = (0.1, 100.0, "m")
 
 TRUSTED = ("imagination", "lightning", "torch.nn", "torch.optim", "torchmetrics", "timm.models")
 """What a config read from a file may build, besides what plugins define."""
@@ -116,7 +120,7 @@ def explain(error: BaseException) -> str | None:
             return str(cause)
     if any(not isinstance(cause, (HydraException, OmegaConfBaseException, ImportError)) for cause in causes):
         return None
-    texts = dict.fromkeys(str(cause).partition("\n\nConfig search path")[0] for cause in causes)
+    texts = dict.fromkeys(str(cause).partition("\nConfig search path")[0].strip() for cause in causes)
     return "\n".join(text for text in texts if not any(text in other for other in texts if other != text))
 
 
@@ -138,10 +142,16 @@ def validate(config: DictConfig) -> None:
         UserError: on the first value out of range, with what is allowed.
     """
     check_name(config.name)
-    for key, (low, high, unit) in RANGES.items():
-        _check_number(key, OmegaConf.select(config, key), low, high, unit)
-    for position, width in enumerate(config.scale.cell_widths):
-        _check_number(f"scale.cell_widths[{position}]", width, 0.1, 100.0, "m")
+    for key, bounds in RANGES.items():
+        if OmegaConf.select(config, key.partition(".")[0]) is not None:  # not every command has a trainer
+            _check_number(key, OmegaConf.select(config, key), *bounds)
+    widths = config.scale.cell_widths
+    if not isinstance(widths, ListConfig) or not widths:
+        raise UserError(f"scale.cell_widths: got {widths!r}, expected a list of metres such as [3.0, 2.5]")
+    for width in widths:
+        _check_number("scale.cell_widths", width, *CELL_WIDTH)
+    for extent in (config.scale.ego_extent, config.scale.world_extent):
+        cells_of(extent, config.scale.resolution)
     if not config.unit_categories:
         raise UserError("unit_categories: got none, expected at least one of: " + ", ".join(config.categories))
     for name in config.unit_categories:
@@ -180,6 +190,8 @@ def _tops(prefixes: set[str]) -> set[str]:
 
 
 def _check_number(key: str, value: Any, low: float, high: float, unit: str) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise UserError(f"{key}: got {value!r}, expected a number in [{low}, {high}] {unit}".rstrip())
+    kinds: tuple[type, ...] = (int,) if isinstance(low, int) else (int, float)
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        kind = "whole number" if isinstance(low, int) else "number"
+        raise UserError(f"{key}: got {value!r}, expected a {kind} in [{low}, {high}] {unit}".rstrip())
     check_range(key, value, low, high, unit)

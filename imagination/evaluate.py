@@ -10,10 +10,11 @@ import logging
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from imagination import runs
@@ -22,6 +23,8 @@ from imagination.errors import UserError
 
 if TYPE_CHECKING:
     from imagination.checkpoints import Checkpoint
+    from imagination.evaluation.prediction import Model
+    from imagination.evaluation.protocol import MappingProtocol
 
 log = logging.getLogger(__name__)
 
@@ -41,12 +44,13 @@ def main(config: DictConfig) -> None:
     paths = [config.ckpt] if isinstance(config.ckpt, str) else list(config.ckpt)
     checkpoints = [Checkpoint.read(path) for path in paths]
     config = configured(checkpoints, list(HydraConfig.get().overrides.task))
+    protocol = instantiate(config.evaluation)  # refuses what is out of range before anything is written
     folder = new_folder(config)
     config.paths.run = str(folder)
     with runs.logging_to(folder / "run.log"):
         runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
         try:
-            evaluate(config, checkpoints, folder)
+            evaluate(config, protocol, checkpoints, folder)
         except KeyboardInterrupt:
             log.warning(
                 "Interrupted; %s holds no complete result. Views rendered so far stay in the cache.", folder
@@ -55,18 +59,19 @@ def main(config: DictConfig) -> None:
         log.info("Results: %s/ (tables/, figures/)", folder)
 
 
-def evaluate(config: DictConfig, checkpoints: Sequence[Checkpoint], folder: Path) -> None:
+def evaluate(
+    config: DictConfig, protocol: MappingProtocol, checkpoints: Sequence[Checkpoint], folder: Path
+) -> None:
     """Load the units, look at the homes, write tables and figures."""
     import torch
-    from hydra.utils import instantiate
 
     from imagination.evaluation import results
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    models = [checkpoint.model().to(device) for checkpoint in checkpoints]
+    models = [cast("Model", checkpoint.model().to(device)) for checkpoint in checkpoints]
     data = instantiate(config.data.module)
     try:
-        results.evaluate(instantiate(config.evaluation), data, models, folder)
+        results.evaluate(protocol, data, models, folder)
     finally:
         data.close()
 

@@ -49,8 +49,8 @@ def opened(config: DictConfig) -> Iterator[Run]:
         run = _go_on(folder, config) if config.resume or config.ckpt_path else _begin(folder, config)
         try:
             yield run
-        except UserError as error:
-            log.error("%s", error)
+        except Exception:
+            log.error("The run failed", exc_info=True, extra=runs.FILE_ONLY)
             raise
         except (KeyboardInterrupt, SystemExit) as stop:
             if not _pressed(stop):
@@ -63,6 +63,8 @@ def opened(config: DictConfig) -> Iterator[Run]:
 
 def _new(config: DictConfig) -> Path:
     """A new run's folder: of a sweep's member inside the sweep's, else outputs/<name>/<date_time>."""
+    config.paths.run = "."
+    OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # fails before there is a folder
     hydra = HydraConfig.get()
     if hydra.mode == RunMode.MULTIRUN:
         return runs.create_folder(Path(hydra.sweep.dir), str(hydra.job.num))

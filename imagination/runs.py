@@ -8,7 +8,8 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
-from errno import EDQUOT, ENOSPC
+from errno import EACCES, EDQUOT, EFBIG, ENOSPC, EROFS
+from itertools import count
 from pathlib import Path
 
 from rich.logging import RichHandler
@@ -24,6 +25,9 @@ COMPOSED = "composed.yaml"
 
 LAST = Path("checkpoints") / "last.ckpt"
 BEST = Path("checkpoints") / "best.ckpt"
+
+FILE_ONLY = {"file_only": True}
+"""`extra` of a message for the log file alone."""
 
 STAMP = "%Y-%m-%d_%H-%M-%S"
 
@@ -43,15 +47,16 @@ def check_name(name: str) -> str:
 
 def create_folder(parent: Path, name: str) -> Path:
     """Make a new folder that nobody else has: parent/name, or with _1, _2 … where that exists."""
-    parent.mkdir(parents=True, exist_ok=True)
-    for number in range(10_000):
-        folder = parent / (f"{name}_{number}" if number else name)
-        try:
-            folder.mkdir()
-        except FileExistsError:
-            continue
-        return folder
-    raise UserError(f"run folder: got 10,000 of the name {name} in {parent}; remove some")
+    with write_errors_told(parent):
+        parent.mkdir(parents=True, exist_ok=True)
+        for number in count():
+            folder = parent / (f"{name}_{number}" if number else name)
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            return folder
+    raise AssertionError("unreachable: count() has no end")
 
 
 def point_latest(folder: Path) -> None:
@@ -100,9 +105,9 @@ def replacing(path: Path) -> Iterator[Path]:
     """A temporary name beside `path`; what is written there takes `path`'s place at the end, on an error nothing does.
 
     Raises:
-        UserError: if the disk is full.
+        UserError: if the disk is full or may not be written.
     """
-    with full_disk_reported(path):
+    with write_errors_told(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
         temporary = scratch / path.name
@@ -118,16 +123,16 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def full_disk_reported(path: Path) -> Iterator[None]:
-    """Turn a full disk into an error that says where and what to do."""
+def write_errors_told(path: Path) -> Iterator[None]:
+    """Turn a full disk or a folder that may not be written into an error that says where and what to do."""
     try:
         yield
     except OSError as error:
-        if error.errno not in (ENOSPC, EDQUOT):
+        if error.errno not in (ENOSPC, EDQUOT, EFBIG, EACCES, EROFS):
             raise
         raise UserError(
-            f"disk full: could not write {path}; free some space or set paths.outputs and paths.cache to another "
-            "disk, then go on with resume=latest"
+            f"could not write {path}: {error.strerror}; free some space or set paths.outputs and paths.cache to "
+            "another place; a run that was under way goes on with resume=latest"
         ) from error
 
 
@@ -149,6 +154,7 @@ def logging_to(file: Path) -> Iterator[None]:
     if not console.is_terminal:  # lines are for other programs then: never wrapped
         screen = logging.StreamHandler()  # type: ignore[assignment]
     screen.setFormatter(logging.Formatter("%(message)s"))
+    screen.addFilter(lambda message: not hasattr(message, "file_only"))
     record = logging.FileHandler(file)
     record.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     root = logging.getLogger()

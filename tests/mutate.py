@@ -1,4 +1,4 @@
-"""Mutation testing: `make mutate` applies each mutation below to a copy of the code; the tests named must then fail.
+"""Mutation testing: `make mutate` applies each of tests/mutations.py to a copy of the code; its tests must then fail.
 
 A mutation that survives means a mistake of that kind would go unnoticed. A mutation whose text is no longer found is a
 failure too: the list has to follow the code.
@@ -11,22 +11,10 @@ import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import NamedTuple
+
+from mutations import MUTATIONS, Mutation
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-class Mutation(NamedTuple):
-    """Replace the only occurrence of `old` in `file` by `new`; `tests` must notice."""
-
-    what: str
-    file: str
-    old: str
-    new: str
-    tests: str
-
-
-MUTATIONS: list[Mutation] = []
 
 
 def survives(mutation: Mutation) -> bool:

@@ -3,6 +3,7 @@
 import errno
 import logging
 import os
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,7 @@ def test_key_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         {**KEY, "spec": {**KEY["spec"], "layers": [None, "chair"]}},  # type: ignore[dict-item]
     ]
     paths = {path, cache.path("views", KEY), *(cache.path("truth", other) for other in others)}
-    monkeypatch.setattr(module, "VERSIONS", {"truth": 2})
+    monkeypatch.setattr(module, "code_version", lambda: "another")
     assert len(paths | {cache.path("truth", KEY)}) == 6
 
 
@@ -141,3 +142,17 @@ def test_readers_never_see_a_part(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     with ThreadPoolExecutor(6) as pool:
         list(pool.map(lambda job: job[0](job[1]), [(write, k) for k in range(4)] + [(read, 0), (read, 1)]))
     assert not caplog.text and len(list(tmp_path.rglob("*.*"))) == 1
+
+
+def test_code_version_covers_what_makes_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A change anywhere in the packages named gives another version; they exist and hold code."""
+    package = Path(module.__file__).parent
+    shutil.copytree(package, tmp_path / "imagination", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(module, "__file__", str(tmp_path / "imagination" / "cache.py"))
+    versions = {module.code_version.__wrapped__()}
+    assert versions == {module.code_version()}
+    for file in ("geometry/crop.py", "scenes/renderer.py", "ground_truth/maps.py", "views/view.py"):
+        with open(tmp_path / "imagination" / file, "a") as code:
+            code.write("# changed")
+        versions.add(module.code_version.__wrapped__())
+    assert len(versions) == 5

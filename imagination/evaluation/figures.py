@@ -104,7 +104,10 @@ def draw_iou(rows: Sequence[Row]) -> Figure:
         axis.set_title(category)
     axes[0].set_ylabel("pooled IoU")
     figure.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names), fontsize=9
+        *axes[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=1 + len(categories),
+        fontsize=9,
     )
     return figure
 

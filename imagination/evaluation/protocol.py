@@ -88,7 +88,7 @@ class Report(NamedTuple):
         choices: threshold and kernel of each approach and category.
         homes, left_out: for each category, the homes that contain it and those that do not.
         examples: maps of the first viewpoint set of each category's first home, one for each cell width.
-        snap_distance: how far each viewpoint was moved to free space, metres.
+        snap_distances: how far each viewpoint of each run was moved to free space, metres.
     """
 
     counts: dict[Key, Int64[np.ndarray, "homes sets 3"]]
@@ -97,7 +97,7 @@ class Report(NamedTuple):
     homes: dict[str, list[str]]
     left_out: dict[str, list[str]]
     examples: list[Example]
-    snap_distance: Float64[np.ndarray, " viewpoints"]
+    snap_distances: list[Float64[np.ndarray, " n"]]
 
 
 class _RunMaps(NamedTuple):
@@ -199,7 +199,7 @@ class MappingProtocol:
             present,
             {category: [home for home in homes if home not in names] for category, names in present.items()},
             examples,
-            np.concatenate(snaps),
+            snaps,
         )
 
     def _maps(self, subject: Subject, homes: Sequence[str], title: str, silent: bool) -> Iterator[_RunMaps]:
@@ -213,10 +213,16 @@ class MappingProtocol:
         margin = max(kernel for approach in self.approaches.values() for kernel in approach.kernels)
         for run in runs if silent else progress(runs, title):
             views = views_of(observer, run, looks)
-            probabilities = subject.predict(views)
+            probabilities = self._predict(subject, views)
             area = area_of(observer.truth(run.home), setting.layers, views["pose"], setting.ego, margin)
             scores = self._scores(views, probabilities, subject, area, np.arange(len(views["pose"])))
             yield _RunMaps(run, views, probabilities, area, scores)
+
+    def _predict(self, subject: Subject, views: Views) -> Float32[np.ndarray, "n c v v"]:
+        if len(views["pose"]):
+            return subject.predict(views)
+        size = subject.setting.ego.cells
+        return np.zeros((0, len(subject.setting.layers), size, size), np.float32)
 
     def _scores(
         self,

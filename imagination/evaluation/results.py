@@ -13,7 +13,7 @@ import torch
 from rich.console import Console
 
 from imagination.data.datamodule import SceneData
-from imagination.evaluation import figures, tables
+from imagination.evaluation import figures, report, tables
 from imagination.evaluation.approaches import Setting
 from imagination.evaluation.prediction import Model, Predictor
 from imagination.evaluation.protocol import MappingProtocol, Report, Subject
@@ -52,22 +52,22 @@ def evaluate(protocol: MappingProtocol, data: SceneData, models: Sequence[Model]
         data.survey(split)
     subject = subject_of(data, models)
     choices = protocol.choose(subject, data.observer.source.scenes("val"))
-    report = protocol.measure(subject, data.observer.source.scenes("test"), choices)
+    found = protocol.measure(subject, data.observer.source.scenes("test"), choices)
     resolution = subject.setting.ego.resolution
-    origin = tables.Provenance(
+    origin = report.Provenance(
         command_line(),
         hardware(),
         perf_counter() - start,
-        tables.declared_sensor(subject.setting, protocol.approaches),
+        report.declared_sensor(subject.setting, protocol.approaches),
     )
-    tables.write(folder / "tables", report, protocol, resolution, origin)
-    rows = tables.mapping_rows(report, protocol, resolution)
-    figures.write(folder / "figures", report, rows)
+    report.write(folder / "tables", found, protocol, resolution, origin)
+    rows = tables.mapping_rows(found, protocol, resolution)
+    figures.write(folder / "figures", found, rows)
     screen = Console()
     screen.print(tables.to_screen(rows, "Global maps", tables.SCREEN_MAPPING))
-    if paired := tables.paired_rows(report, protocol):
+    if paired := tables.paired_rows(found, protocol):
         screen.print(tables.to_screen(paired, "In pairs", tables.SCREEN_PAIRED))
-    return Results(report, rows)
+    return Results(found, rows)
 
 
 def command_line() -> str:

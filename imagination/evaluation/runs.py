@@ -93,6 +93,9 @@ def _look(observer: Observer, run: Run, looks: Looks) -> Views:
         for (x, y), turns in zip(viewpoints.snapped, headings, strict=True)
         for theta in turns
     ]
-    seen = [observer.observe(run.home, pose, rng) for pose in poses]
-    categories = np.stack([view.categories for view in seen])
-    return {**stack(seen), "categories": categories, "snap_distance": viewpoints.distance}
+    x, y = observer.truth(run.home).points[0].tolist()
+    somewhere = Pose(x, y, 0.0)  # gives the arrays of an empty set their shapes
+    seen = [observer.observe(run.home, pose, rng) for pose in poses or [somewhere]]
+    arrays = {**stack(seen), "categories": np.stack([view.categories for view in seen])}
+    views = {name: values[: len(poses)] for name, values in arrays.items()}
+    return {**views, "snap_distance": viewpoints.distance}

@@ -1,18 +1,12 @@
-"""The tables of the mapping task: mapping.csv, paired.csv, mapping.md and the one on the screen."""
+"""The rows of the mapping task's tables, and tables as CSV, as Markdown and on the screen."""
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
-from math import degrees, isinf
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Sequence
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from imagination.evaluation.approaches import Approach, ProjectedSegmentation, Setting
 from imagination.evaluation.metrics import (
-    CONFIDENCE,
     bootstrap_iou,
     interval,
     iou,
@@ -21,12 +15,24 @@ from imagination.evaluation.metrics import (
     resample,
 )
 from imagination.evaluation.protocol import MappingProtocol, Report
-from imagination.runs import write_text
 
 Row = dict[str, str]
 """Cells of a table's row by column, formatted, so that the same numbers give the same bytes."""
 
 PIXELS = "correct_pixels", "false_pixels", "truth_pixels"
+
+MAIN = (
+    "approach",
+    "category",
+    "cell_width",
+    "runs",
+    "iou_pooled",
+    "iou_mean",
+    "iou_ci_low",
+    "iou_ci_high",
+    *PIXELS,
+)
+"""The first columns of mapping.csv, which mapping.md shows."""
 
 SCREEN_MAPPING = (
     "approach", "category", "cell_width", "iou_pooled", "iou_ci_low", "iou_ci_high", *PIXELS,
@@ -36,22 +42,6 @@ SCREEN_PAIRED = "difference", "category", "cell_width", "iou_pooled", "ci_low", 
 
 REFERENCE = "imagination"
 """The approach that the others are compared with in pairs."""
-
-
-class Provenance(NamedTuple):
-    """Where a table's numbers come from.
-
-    Attributes:
-        command: that made them.
-        hardware: that it ran on.
-        seconds: of wall time that evaluation took.
-        sensor: what all approaches looked through, see `declared_sensor`.
-    """
-
-    command: str
-    hardware: str
-    seconds: float
-    sensor: str
 
 
 def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -> list[Row]:
@@ -129,17 +119,6 @@ def run_rows(report: Report) -> list[Row]:
     ]
 
 
-def write(
-    folder: Path, report: Report, protocol: MappingProtocol, resolution: float, origin: Provenance
-) -> None:
-    """Write mapping.csv, paired.csv, runs.csv and mapping.md into `folder`, each whole or not at all."""
-    mapping, paired = mapping_rows(report, protocol, resolution), paired_rows(report, protocol)
-    write_text(folder / "mapping.csv", to_csv(mapping))
-    write_text(folder / "paired.csv", to_csv(paired))
-    write_text(folder / "runs.csv", to_csv(run_rows(report)))
-    write_text(folder / "mapping.md", to_markdown(mapping, paired, report, protocol, origin))
-
-
 def to_csv(rows: Sequence[Row]) -> str:
     """Rows as comma-separated text with a header; empty without rows."""
     if not rows:
@@ -151,84 +130,18 @@ def to_csv(rows: Sequence[Row]) -> str:
     return text.getvalue()
 
 
-def to_markdown(
-    mapping: Sequence[Row],
-    paired: Sequence[Row],
-    report: Report,
-    protocol: MappingProtocol,
-    origin: Provenance,
-) -> str:
-    """The tables with everything that a reader needs to know about them."""
-    left_out = "; ".join(
-        f"{category}: {len(names)} of {len(names) + len(report.homes[category])}"
-        for category, names in report.left_out.items()
-    )
-    order = max(abs(float(row["iou_pooled"]) - float(row["iou_shuffled"])) for row in mapping)
-    percent = f"{CONFIDENCE:.0%}"
-    views = len(report.snap_distance) * protocol.orientations
-    parts = [
-        "# Mapping from sparse viewpoints",
-        _markdown_table(mapping, list(mapping[0])[:11]),
-        f"""A run is one home, cell width and viewpoint set; each cell width has {protocol.viewpoint_sets} sets a home
-and {protocol.orientations} random headings a viewpoint ({views} views in all). Truth is M_gt of the whole home, seen
-or not. `iou_pooled` divides the correct pixels of all runs by the union's, `iou_mean` is the mean of the runs' IoU,
-and pixels are summed over runs. The {percent} intervals of `iou_pooled` come from {protocol.resamples} bootstrap
-resamples of homes. Homes without the category are left out ({left_out}).""",
-        "## In pairs",
-        _markdown_table(paired, list(paired[0])) if paired else f"There is no `{REFERENCE}` to compare with.",
-        f"Differences of `iou_pooled`, with {percent} intervals over homes resampled in pairs.",
-        "## How it was made",
-        f"""- Sensor, the same for all approaches: {origin.sensor}.
-- Registration: {_registered(protocol)}; views in viewpoint order, then orientation. In a random order `iou_pooled`
-  changes by {order:.4f} at most. Viewpoints were moved {report.snap_distance.mean():.2f} m on average to free space.
-- Chosen on validation homes by pooled IoU at all cell widths together: {_chosen(report, protocol)}.
-- Seed {protocol.seed}; {origin.hardware}; evaluation took {origin.seconds:.0f} s of wall time.
-- Command: `{origin.command}`""",
-    ]
-    return "\n\n".join(parts) + "\n"
+def to_markdown(rows: Sequence[Row], columns: Sequence[str]) -> str:
+    """Some columns of a table as Markdown."""
+    lines = [columns, ["---"] * len(columns), *([row[column] for column in columns] for row in rows)]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
 
 
 def to_screen(rows: Sequence[Row], title: str, columns: Sequence[str]) -> Table:
     """Some columns of a table, narrow enough for a terminal."""
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1))
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
     for column in columns:
         left = column in ("approach", "category", "difference")
         table.add_column(column.replace("_", "\n"), justify="left" if left else "right", no_wrap=True)
     for row in rows:
         table.add_row(*(row[column] for column in columns))
     return table
-
-
-def declared_sensor(setting: Setting, approaches: Mapping[str, Approach]) -> str:
-    """What decides how much a view can tell, for all approaches and for those that project segmentation."""
-    camera, ego = setting.camera, setting.ego
-    extent = ego.cells * ego.resolution
-    said = (
-        f"{camera.width} x {camera.height} pixels, field of view {degrees(camera.field_of_view):.0f} degrees, "
-        f"{camera.mount_height:g} m above the floor; egocentric map of {extent:.2f} m a side, cells of "
-        f"{ego.resolution:g} m"
-    )
-    for name, approach in approaches.items():
-        if isinstance(evidence := approach.evidence, ProjectedSegmentation):
-            limit = "none but that map" if isinf(evidence.max_range) else f"{evidence.max_range:g} m"
-            band = f"{evidence.low:g} to {evidence.high:g} m above the floor"
-            said += f"; {name} projects returns {band}, range limit {limit}"
-    return said
-
-
-def _markdown_table(rows: Sequence[Mapping[str, str]], columns: Sequence[str]) -> str:
-    lines = [columns, ["---"] * len(columns), *([row[column] for column in columns] for row in rows)]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-
-
-def _registered(protocol: MappingProtocol) -> str:
-    return ", ".join(f"{name} by {approach.rule}" for name, approach in protocol.approaches.items())
-
-
-def _chosen(report: Report, protocol: MappingProtocol) -> str:
-    finished = {"keep": "", "close": ", closed by {:g} m", "grow": ", grown by {:g} m"}
-    return "; ".join(
-        f"{name} ({category}) threshold {choice.threshold:.2f}"
-        + finished[protocol.approaches[name].finish].format(choice.kernel)
-        for (name, category), choice in report.choices.items()
-    )

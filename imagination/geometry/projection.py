@@ -244,16 +244,11 @@ def _observe(
 ) -> None:
     """Mark occupied and seen cells, going down each image column with the floor return just above in hand."""
     cells = seen.shape[0]
-    half_row, half_column = (
-        rays[0, 0] / 2,
-        rays[1, 0] / 2,
-    )  # from a pixel's centre to its right edge, at depth 1
+    # from a pixel's centre to its right edge, at depth 1
+    half_row, half_column = rays[0, 0] / 2, rays[1, 0] / 2
     for u in range(depth.shape[1]):
-        above, row_above, column_above = (
-            0.0,
-            0.0,
-            0.0,
-        )  # depth (0: not floor) and place of the return one pixel up
+        # depth (0: none) and place of the floor return one pixel up
+        above, row_above, column_above = 0.0, 0.0, 0.0
         for v in range(depth.shape[0]):
             d, x, y = depth[v, u], u + 0.5, v + 0.5
             z = d * (rays[2, 0] * x + rays[2, 1] * y + rays[2, 2]) + offset[2]
@@ -301,7 +296,6 @@ def _fill(
                 c = c0 + (c1 - c0) * ((row - r0) / (r1 - r0))
                 left, right = min(left, c), max(right, c)
         if right >= -0.5 and left < cells - 0.5:
-            for column in range(
-                int(max(np.floor(left + 0.5), 0.0)), int(min(np.floor(right + 0.5), cells - 1.0)) + 1
-            ):
-                seen[row, column] = True
+            first_column = int(max(np.floor(left + 0.5), 0.0))
+            last_column = int(min(np.floor(right + 0.5), cells - 1.0))
+            seen[row, first_column : last_column + 1] = True

@@ -43,4 +43,5 @@ def label(
     objects: Bool[np.ndarray, "*b v v"], seen: Bool[np.ndarray, "*#b v v"], delta: int
 ) -> Bool[np.ndarray, "*b v v"]:
     """What the unit is asked to imagine, V_label = V_object * V_filter; arguments as for `imaginable_mask`."""
-    return np.logical_and(objects, imaginable_mask(objects, seen, delta))
+    target: np.ndarray = objects & imaginable_mask(objects, seen, delta)
+    return target

@@ -193,13 +193,13 @@ def _looks(points: Float[np.ndarray, "n 2"], camera: Camera) -> Iterator[Pose]:
 def _warn_of_lost(scene: Scene, grid: Grid, names: Sequence[str], truth: Bool[np.ndarray, "c h w"]) -> None:
     for name, layer in zip(names, truth, strict=True):
         things = scene.of_category(name)
-        lost = [thing for thing in things if not _any_in(layer, thing, grid)]
+        lost = [str(thing.instance) for thing in things if not _any_in(layer, thing, grid)]
         if lost:
             log.warning(
-                "scene %s: %d of %d objects of category %s have no cell in the ground truth (instances %s): nothing of them "
-                "was seen between the obstacles' heights; `python -m imagination.render` draws every stage",
-                scene.name, len(lost), len(things), name, ", ".join(str(thing.instance) for thing in lost),
-            )  # fmt: skip
+                f"scene {scene.name}: {len(lost)} of {len(things)} objects of category {name} have no cell in the "
+                f"ground truth (instances {', '.join(lost)}): nothing of them was seen between the obstacles' "
+                "heights; `python -m imagination.render` draws every stage"
+            )
 
 
 def _any_in(layer: Bool[np.ndarray, "h w"], thing: SceneObject, grid: Grid) -> bool:

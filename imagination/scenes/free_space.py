@@ -73,7 +73,8 @@ def _is_floor(
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     level = np.hypot(normal[:, 0], normal[:, 1]) <= MAX_SLOPE * np.abs(normal[:, 2])
     near = (np.abs(corners[..., 2] - floor_height) <= tolerance).all(axis=1)
-    return np.logical_and(level & near, normal[:, 2] != 0)
+    floor: np.ndarray = level & near & (normal[:, 2] != 0)
+    return floor
 
 
 def _grid_around(floor: Float32[np.ndarray, "m 3 3"], resolution: float) -> Grid:
@@ -91,7 +92,8 @@ def _clear_of(blocked: Bool[np.ndarray, "h w"], radius: float) -> Bool[np.ndarra
     """Cells whose centre is `radius` cells or more from anything in a blocked cell."""
     distance = cv2.distanceTransform((~blocked).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     half_diagonal = np.sqrt(0.5)  # an obstacle may touch the nearest corner of its cell
-    return np.logical_and(~blocked, distance >= radius + half_diagonal)
+    clear: np.ndarray = ~blocked & (distance >= radius + half_diagonal)
+    return clear
 
 
 def _largest_part(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

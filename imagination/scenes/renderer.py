@@ -142,7 +142,7 @@ def _check_indices(name: str, indices: Int32[np.ndarray, "..."], count: int, of:
 
 def _check_pose(camera_to_world: Float[np.ndarray, "4 4"]) -> None:
     rotation = camera_to_world[:3, :3]
-    if not np.isfinite(camera_to_world).all() or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+    if not np.isfinite(camera_to_world).all() or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
         raise UserError(
             f"renderer: got the camera pose {camera_to_world.tolist()}, expected finite "
             "numbers that rotate and shift"

@@ -3,7 +3,8 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from threading import Thread
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import cv2
@@ -59,6 +60,15 @@ def _start(observer: Observer) -> None:
     _observer = observer
     cv2.setNumThreads(1)  # one worker, one core
     os.nice(5)  # training in the main process goes first
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """A killed main process cannot stop its workers: they would wait for work for ever."""
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _call(function: Callable[..., T], scene: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> T:

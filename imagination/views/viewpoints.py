@@ -27,6 +27,8 @@ class Viewpoints(NamedTuple):
 def sparse_viewpoints(free: FreeSpace, cell_width: float, rng: np.random.Generator) -> Viewpoints:
     """One random set of viewpoints about `cell_width` apart (Algorithm 1).
 
+    It may be empty, where the cell width is not much smaller than the home.
+
     A mesh grid of that spacing starts at the lower left of the free space's bounding box and runs along x first. Its
     points on free space, tested before anything is added, are all shifted by one offset drawn from ± cell_width / 2 in
     x and y, and each by one of its own from ± cell_width / 6.
@@ -37,22 +39,18 @@ def sparse_viewpoints(free: FreeSpace, cell_width: float, rng: np.random.Generat
         rng: drives the offsets.
 
     Raises:
-        UserError: if the cell width is out of range, or no point of the mesh grid lies on free space.
+        UserError: if the cell width is out of range, or nothing is free.
     """
     check_range("cell_width", cell_width, 0.1, 100.0, "m")
     if not free.mask.any():
         raise UserError("free space: got none, expected at least one free cell to place viewpoints on")
     candidates = _mesh_grid(free, cell_width)
     points = candidates[_is_free(free.mask, free.grid, candidates)]
-    if len(points) == 0:
-        raise UserError(
-            f"cell_width: got {cell_width} m, at which none of the {len(candidates)} points of the mesh grid lies on "
-            "free space; choose a smaller one"
-        )
     points = points + rng.uniform(-cell_width / 2, cell_width / 2, 2)
     points = points + rng.uniform(-cell_width / 6, cell_width / 6, points.shape)
     centres = free.grid.to_points(np.argwhere(free.mask))
-    snapped = np.array([centres[np.argmin(((centres - point) ** 2).sum(axis=1))] for point in points])
+    nearest = [int(np.argmin(((centres - point) ** 2).sum(axis=1))) for point in points]
+    snapped = centres[np.array(nearest, np.int64)]
     return Viewpoints(points, snapped, np.linalg.norm(points - snapped, axis=1))
 
 

@@ -11,6 +11,7 @@ from imagination.evaluation import runs
 from imagination.evaluation.metrics import mean_iou, pooled_iou
 from imagination.evaluation.protocol import Key, Report, Subject
 from imagination.evaluation.runs import Looks, Run, views_of
+from imagination.views.viewpoints import Viewpoints
 from tests.evaluation.subjects import make_protocol, make_subject
 
 HOMES = ["val_0", "test_1"]
@@ -118,3 +119,15 @@ def test_homes_without_the_category_are_left_out(subject: Subject, report: Repor
 def test_settings_out_of_range_are_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(UserError, match=message):
         make_protocol(**change)
+
+
+def test_a_home_too_small_for_the_cell_width_counts_with_empty_maps(
+    subject: Subject, report: Report, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nothing = Viewpoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    monkeypatch.setattr(runs, "sparse_viewpoints", lambda *_: nothing)
+    found = make_protocol(cell_widths=[9.0]).measure(subject, HOMES, report.choices)
+    for counts in found.counts.values():
+        assert (counts[..., :2] == 0).all()
+        assert (counts[..., 2] > 0).all()
+    assert [len(distances) for distances in found.snap_distances] == [0] * 4

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from imagination.evaluation import figures, tables
 from imagination.evaluation.protocol import Example, Key, Report
+from imagination.evaluation.report import Provenance, write
 from imagination.evaluation.runs import Run
 from imagination.evaluation.selection import Choice
 from imagination.geometry.grid import Grid
@@ -20,9 +21,7 @@ COLUMNS = (
     "approach,category,cell_width,runs,iou_pooled,iou_mean,iou_ci_low,iou_ci_high,"
     "correct_pixels,false_pixels,truth_pixels"
 )
-ORIGIN = tables.Provenance(
-    "python -m imagination.evaluate ckpt=x", "a processor, 2 cores", 12.3, "128 x 128 pixels"
-)
+ORIGIN = Provenance("python -m imagination.evaluate ckpt=x", "a processor, 2 cores", 12.3, "128 x 128 pixels")
 
 
 @pytest.fixture
@@ -48,12 +47,12 @@ def report() -> Report:
     )
     choices = {(name, "chair"): Choice(0.35, 0.3, 0.5) for name in protocol.approaches}
     homes, left_out = {"chair": ["test_0", "test_1", "test_2"]}, {"chair": ["test_3"]}
-    return Report(counts, counts, choices, homes, left_out, [example], np.array([0.1, 0.3]))
+    return Report(counts, counts, choices, homes, left_out, [example], [np.array([0.1, 0.3]), np.array([])])
 
 
 def test_the_tables_are_what_the_counts_say(tmp_path: Path, report: Report) -> None:
     protocol = make_protocol()
-    tables.write(tmp_path, report, protocol, 0.1, ORIGIN)
+    write(tmp_path, report, protocol, 0.1, ORIGIN)
     text = (tmp_path / "mapping.csv").read_text()
     assert text.startswith(COLUMNS + ",")
     rows = {(row["approach"], row["cell_width"]): row for row in csv.DictReader(text.splitlines())}
@@ -88,7 +87,7 @@ def test_pairs_are_differences_with_an_interval(tmp_path: Path, report: Report) 
 
 def test_the_same_report_gives_the_same_bytes(tmp_path: Path, report: Report) -> None:
     for folder in ("a", "b"):
-        tables.write(tmp_path / folder / "tables", report, make_protocol(), 0.1, ORIGIN)
+        write(tmp_path / folder / "tables", report, make_protocol(), 0.1, ORIGIN)
         rows = tables.mapping_rows(report, make_protocol(), 0.1)
         figures.write(tmp_path / folder / "figures", report, rows)
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
@@ -101,7 +100,7 @@ def test_the_same_report_gives_the_same_bytes(tmp_path: Path, report: Report) ->
 
 
 def test_the_markdown_tells_how_it_was_made(tmp_path: Path, report: Report) -> None:
-    tables.write(tmp_path, report, make_protocol(), 0.1, ORIGIN)
+    write(tmp_path, report, make_protocol(), 0.1, ORIGIN)
     text = (tmp_path / "mapping.md").read_text()
     for said in (
         "`iou_pooled` divides", "chair: 1 of 4", "Seed 0", "a processor, 2 cores", "12 s of wall time", "128 x 128",

@@ -5,10 +5,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from imagination.scenes.procedural.chair_parts import feet
+from imagination.scenes.procedural.palette import Palette
 from imagination.scenes.procedural.pieces import Assembly, Piece
 from imagination.scenes.procedural.shapes import box, cushion, prism, rounded, sheet, tube
 from imagination.scenes.procedural.styles import Style
-from imagination.scenes.procedural.textures import Palette
 
 
 def _easy(chair: Assembly, style: Style, palette: Palette) -> None:
@@ -20,7 +20,7 @@ def _easy(chair: Assembly, style: Style, palette: Palette) -> None:
     chair.add(cushion(whole, depth + rear, seat - 0.13 - lift, 0.03), cloth, (0, 0, lift))
     front = (depth + rear) / 2
     chair.add(cushion(width - 0.01, depth, 0.15, 0.05, 0.02), cloth, (0, front - depth / 2, seat - 0.14))
-    rest = cushion(width + arm, rear, style["back"] + 0.1, 0.05)
+    rest = cushion(width + arm + 0.06, rear, style["back"] + 0.1, 0.05)
     chair.add(rest, cloth, (0, -front + rear / 2, seat - 0.1), tilt=style["rake"])
     for side in (-1, 1):
         x = side * (width + arm) / 2

@@ -4,10 +4,10 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from imagination.scenes.procedural.palette import Finish, Palette
 from imagination.scenes.procedural.pieces import Assembly, Piece
 from imagination.scenes.procedural.shapes import box, cushion, lathe, sheet, tube
 from imagination.scenes.procedural.styles import Style
-from imagination.scenes.procedural.textures import Finish, Palette
 
 MATTRESS = 0.20
 """Thickness of a mattress, metres."""
@@ -196,7 +196,7 @@ def _bunk(bed: Assembly, style: Style, palette: Palette) -> None:
 
 BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {
     **dict.fromkeys(("slat_bed", "box_bed", "daybed", "sleigh_bed"), _single),
-    **dict.fromkeys(("bunk_bed", "loft_over_double"), _bunk),
+    **dict.fromkeys(("bunk_bed", "wide_bunk"), _bunk),
     "platform_bed": _platform,
     "panel_bed": _panel,
     "upholstered_bed": _upholstered,

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from imagination.scenes.procedural.floor_plan import OUTSIDE, WALL, Opening, Plan, Room
+from imagination.scenes.procedural.floor_plan import WALL, Opening, Plan, before
+from imagination.scenes.procedural.palette import Finish, Palette
 from imagination.scenes.procedural.pieces import Assembly, Piece
 from imagination.scenes.procedural.shapes import Solid, box
-from imagination.scenes.procedural.textures import Finish, Palette, tiles
+from imagination.scenes.procedural.textures import tiles
 
 Corner = tuple[float, float, float]
 FRAME = 0.06
@@ -36,7 +37,7 @@ def build_building(plan: Plan, palette: Palette, rng: np.random.Generator) -> Pi
         if opening.kind == "entrance":
             _on_wall(building, opening, box(opening.end - opening.start, 0.04, opening.high), wood, -0.02)
         elif opening.kind == "door" and rng.random() < 0.6:
-            _leaf(building, opening, plan.rooms, wood, palette, rng)
+            _leaf(building, opening, plan, wood, palette.metals[0])
     return building.finished()
 
 
@@ -136,29 +137,24 @@ def _frame(building: Assembly, opening: Opening, finish: Finish) -> None:
         )
 
 
-def _leaf(
-    building: Assembly,
-    opening: Opening,
-    rooms: tuple[Room, ...],
-    wood: Finish,
-    palette: Palette,
-    rng: np.random.Generator,
-) -> None:
-    """An open door: its leaf stands square to the wall, in the room (of the two) that is not the corridor."""
+def _leaf(building: Assembly, opening: Opening, plan: Plan, wood: Finish, metal: Finish) -> None:
+    """An open door: its leaf stands square to the wall, not in a corridor, and not in another door's way."""
     first, second = opening.rooms
-    inner = second if rooms[first].kind == "corridor" else first
-    if inner == OUTSIDE:
-        return
-    room, width = rooms[inner], opening.end - opening.start
-    ahead = (room.y0 > opening.at - WALL) if opening.axis == 0 else (room.x0 > opening.at - WALL)
-    # in the opening's own frame y points north (axis 0) or west (axis 1)
-    sign = (1.0 if ahead else -1.0) * (1.0 if opening.axis == 0 else -1.0)
+    inner = second if plan.rooms[first].kind == "corridor" else first
+    room, width = plan.rooms[inner], opening.end - opening.start
     # the leaf hangs on the side of the nearer corner, where it is out of the way
     low, high = (room.x0, room.x1) if opening.axis == 0 else (room.y0, room.y1)
     hinge = -1.0 if opening.start - low < high - opening.end else 1.0
-    leaf = box(0.04, width - 0.02, 1.98).moved((0.0, sign * (width - 0.02) / 2, 0.02))
-    at = (hinge * (width / 2 - 0.02), sign * WALL / 2, 0.0)
-    _on_wall(building, opening, leaf.moved(at, yaw=float(rng.uniform(-0.05, 0.05))), wood)
+    swept = before(opening, room, width, 0.05)
+    others = [other for other in plan.openings_of(inner) if other is not opening and other.kind != "window"]
+    if any(swept.meets(before(other, room, 0.6, 0.1)) for other in others):
+        return
+    inside = (room.y0 > opening.at) if opening.axis == 0 else (room.x0 > opening.at)
+    # in the opening's own frame y points north (axis 0) or west (axis 1)
+    ahead = 1.0 if inside == (opening.axis == 0) else -1.0
+    at = (hinge * (width / 2 - 0.02), ahead * WALL / 2, 0.0)
+    leaf = box(0.04, width - 0.02, 1.98).moved((0.0, ahead * (width - 0.02) / 2, 0.02))
+    _on_wall(building, opening, leaf.moved(at), wood)
     for side in (-0.03, 0.03):
-        knob = box(0.03, 0.11, 0.02).moved((side, sign * (width - 0.1), 1.0))
-        _on_wall(building, opening, knob.moved(at), palette.metals[0])
+        handle = box(0.03, 0.11, 0.02).moved((side, ahead * (width - 0.1), 1.0))
+        _on_wall(building, opening, handle.moved(at), metal)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from imagination.scenes.procedural.palette import Finish
 from imagination.scenes.procedural.pieces import Assembly
 from imagination.scenes.procedural.shapes import Solid, bent, box, sheet, tube
 from imagination.scenes.procedural.styles import Style
-from imagination.scenes.procedural.textures import Finish
 
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 """Signs of x and y of a rectangle's corners."""

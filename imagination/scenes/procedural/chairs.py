@@ -5,17 +5,18 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from imagination.scenes.procedural.chair_parts import CORNERS, backrest, bowl, wooden_arms
+from imagination.scenes.procedural.palette import Palette
 from imagination.scenes.procedural.pieces import Assembly, Piece
 from imagination.scenes.procedural.shapes import bent, box, cushion, lathe, prism, rounded, tube
 from imagination.scenes.procedural.styles import Style
-from imagination.scenes.procedural.textures import Palette
 
 
 def _wooden(chair: Assembly, style: Style, palette: Palette) -> None:
     """Four legs and a wooden back."""
     frame, leg, splay = palette.pick(palette.woods + palette.paints[:1]), style["leg"], style["splay"]
     width, depth, seat = style["width"], style["depth"], style["seat"]
-    x, y, thick = width / 2 - leg / 2, depth / 2 - leg / 2, 0.025
+    x, y = width / 2 - leg / 2, depth / 2 - leg / 2
+    thick = style["pad"] - 0.01 if style.family.name == "upholstered" else 0.025
     for sx, sy in CORNERS:
         foot = (sx * (x + splay), sy * y + (-splay if sy < 0 else splay / 2), 0.0)
         chair.add(tube([foot, (sx * x, sy * y, seat - thick)], [leg * 0.55, leg * 0.71], 4), frame)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from imagination.scenes.procedural.palette import Finish, Palette
 from imagination.scenes.procedural.pieces import Assembly, Piece, Seat, Surface
 from imagination.scenes.procedural.shapes import box
 from imagination.scenes.procedural.styles import Style
-from imagination.scenes.procedural.textures import Finish, Palette
 
 
 def _chest(

@@ -4,10 +4,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from imagination.scenes.procedural.palette import Palette
 from imagination.scenes.procedural.pieces import Assembly, Piece
 from imagination.scenes.procedural.shapes import box, cushion, lathe, sheet, tube
 from imagination.scenes.procedural.storage import STORAGE
-from imagination.scenes.procedural.textures import Palette, painting, rug, stripes
+from imagination.scenes.procedural.textures import painting, rug, stripes
 
 Rng = np.random.Generator
 

@@ -82,11 +82,15 @@ def _kitchen(room: Furnisher) -> None:
     group = [Placed(counter)]
     if stock.chance(0.75):
         units = stock.piece("wall_units")
-        group.append(Placed(units, 0.0, float(counter.low[1] - units.low[1]), 0.0, 1.42))
+        if units.high[0] <= counter.high[0]:
+            group.append(Placed(units, 0.0, float(counter.low[1] - units.low[1]), 0.0, 1.42))
     group += upon(group[0], stock, ["bowl", "vase", "books"], 0.4)
     cold = beside(counter, fridge, float(room.rng.choice([-1, 1])))
     if room.against_wall([*group, cold], clear=0.7) is None:
-        room.against_wall(group, clear=0.6, tries=40)
+        # what is too long is tried again without its fridge, then with other, mostly shorter units
+        for run in (group, *([Placed(stock.piece("kitchen_counter"))] for _ in range(3))):
+            if room.against_wall(run, clear=0.6) is not None:
+                break
         room.against_wall([Placed(fridge)], clear=0.5)
     if stock.chance(0.45):
         room.against_wall([Placed(stock.piece("kitchen_counter"))], clear=0.7)

@@ -27,7 +27,7 @@ def at_seat(chair: Piece, seat: Seat, stock: Stock, turn: float) -> Placed:
     """
     rng = stock.rng
     deepest = min(reach_under(chair, seat.underside) - GAP, seat.depth)
-    share = rng.uniform(0.55, 1.0) if rng.random() < 0.75 else rng.uniform(-0.6, 0.55)
+    share = rng.uniform(0.65, 1.0) if rng.random() < 0.75 else rng.uniform(-0.6, 0.65)
     yaw = seat.yaw + float(rng.normal(0, turn))
     # a turned chair's corner comes further in
     inside = deepest * share - abs(np.sin(yaw - seat.yaw)) * (chair.high[0] - chair.low[0]) / 2

@@ -7,11 +7,12 @@ from imagination.categories import CategoryTable
 from imagination.errors import UserError
 from imagination.scenes.free_space import free_space
 from imagination.scenes.procedural.building import build_building
-from imagination.scenes.procedural.floor_plan import Plan, draw_plan
+from imagination.scenes.procedural.floor_plan import Plan
 from imagination.scenes.procedural.furnishing import furnish
+from imagination.scenes.procedural.layouts import draw_plan
+from imagination.scenes.procedural.palette import Finish
 from imagination.scenes.procedural.pieces import Piece, Placed
 from imagination.scenes.procedural.stock import STYLED, Stock
-from imagination.scenes.procedural.textures import Finish
 from imagination.scenes.scene import SPLITS, FreeSpace, Lighting, Mesh, OrientedBox, Scene, SceneObject, Split
 
 ATTEMPTS = 12

@@ -3,10 +3,10 @@
 import numpy as np
 
 from imagination.scenes.procedural.chair_parts import bowl
+from imagination.scenes.procedural.palette import Palette
 from imagination.scenes.procedural.pieces import Assembly, Piece
 from imagination.scenes.procedural.shapes import box, cushion, lathe, tube
 from imagination.scenes.procedural.styles import Style
-from imagination.scenes.procedural.textures import Palette
 
 
 def _star(chair: Assembly, style: Style, palette: Palette) -> None:
@@ -53,7 +53,7 @@ def build_office_chair(style: Style, palette: Palette) -> Piece:
         chair.add(
             cushion(width * 0.55, 0.06, 0.14, 0.028).moved((0, 0.02, back + 0.08)), cloth, at, tilt=rake
         )
-    if "arms" in style:
+    if "armrests" in style:
         for side in (-1, 1):
             x = side * (width / 2 + 0.03)
             chair.add(box(0.03, 0.06, 0.24), palette.dark, (x, -0.02, seat - 0.05))

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from imagination.scenes.procedural.palette import Finish
 from imagination.scenes.procedural.shapes import Point, Solid
-from imagination.scenes.procedural.textures import Finish
 
 
 class Seat(NamedTuple):

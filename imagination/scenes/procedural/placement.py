@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from imagination.scenes.procedural.floor_plan import OUTSIDE, Opening, Plan, Room
+from imagination.scenes.procedural.floor_plan import OUTSIDE, Plan, Room, before
 from imagination.scenes.procedural.pieces import Placed, rectangle_at
 
 CELL = 0.05
@@ -17,6 +17,9 @@ TALL = 0.95
 """Height from which furniture does not stand before windows, metres."""
 FLAT = 0.03
 """What is lower is walked over: rugs."""
+
+FREE_SHARE = 0.15
+"""Share of a room's floor that furniture leaves to the robot's centre."""
 
 Corners = Float[np.ndarray, "4 2"]
 
@@ -51,7 +54,8 @@ class RoomFloor:
         for opening in plan.openings_of(number):
             # an open leaf is as long as its door is wide
             depth = {"window": 0.5, "door": opening.end - opening.start + 0.05}.get(opening.kind, DOOR_ZONE)
-            zone = self._zone(opening, depth)
+            x0, y0, x1, y1 = before(opening, self.room, depth, 0.03)
+            zone = rectangle_at((x0, y0), (x1, y1), 0.0, 0.0, 0.0)
             if opening.kind == "window":
                 self.windows.append(zone)
                 continue
@@ -66,15 +70,6 @@ class RoomFloor:
         self._blocked[rim:-rim, rim:-rim] = 0
         for x, y in self._doorsteps:  # the rim before a door is free
             self._blocked[self._cell(x, y)] = 0
-
-    def _zone(self, opening: Opening, depth: float) -> Corners:
-        """The floor before an opening, on this room's side."""
-        room = self.room
-        if opening.axis == 0:
-            low = room.y0 if opening.at < room.y0 else room.y1 - depth
-            return rectangle_at((opening.start - 0.03, low), (opening.end + 0.03, low + depth), 0, 0, 0)
-        low = room.x0 if opening.at < room.x0 else room.x1 - depth
-        return rectangle_at((low, opening.start - 0.03), (low + depth, opening.end + 0.03), 0, 0, 0)
 
     def _cell(self, x: float, y: float) -> tuple[int, int]:
         rows, columns = self._blocked.shape
@@ -126,8 +121,9 @@ class RoomFloor:
         names = {int(parts[self._cell(x, y)]) for x, y in self._doorsteps}
         if len(names) > 1 or 0 in names:
             return False
-        # furniture must not wall off part of the room either
-        return bool((parts == names.pop()).sum() >= 0.75 * free.sum())
+        # furniture must not wall off part of the room either, nor fill it
+        reached = int((parts == names.pop()).sum())
+        return bool(reached >= 0.75 * free.sum() and reached >= FREE_SHARE * free.size)
 
     def put(self, things: Sequence[Placed]) -> None:
         """Let things stand where they are."""

@@ -164,6 +164,13 @@ def sheet(points: Float[np.ndarray, "r c 3"], thickness: float) -> Solid:
     along = np.gradient(points, axis=0)
     normal = np.cross(across, along)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    # every row becomes a ring: along the front, then back along the rear; the rows are lofted
-    rings = np.concatenate([points[:, ::-1], points - thickness * normal], axis=1)
-    return loft(rings)
+    # every row becomes a ring: along the front, then back along the rear
+    rows, columns = points.shape[:2]
+    rings = np.concatenate([points, (points - thickness * normal)[:, ::-1]], axis=1)
+    # the first and last rings are closed between front and rear, which also holds for curved rows
+    front = np.arange(columns - 1)
+    rear = 2 * columns - 1 - front
+    rim = np.stack([front + 1, front, rear, rear - 1], axis=-1)
+    quads = np.concatenate([rim, rim[:, ::-1] + (rows - 1) * 2 * columns])
+    faces = np.concatenate([_bands(rows, 2 * columns), quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return Solid(rings.reshape(-1, 3), faces)

@@ -9,18 +9,20 @@ from imagination.scenes.procedural.beds import build_bed
 from imagination.scenes.procedural.chairs import build_chair
 from imagination.scenes.procedural.desks import build_desk
 from imagination.scenes.procedural.distractors import BUILDERS, build_distractor
+from imagination.scenes.procedural.low_tables import build_low_table
 from imagination.scenes.procedural.office_chairs import build_office_chair
+from imagination.scenes.procedural.palette import Palette
 from imagination.scenes.procedural.pieces import Piece
 from imagination.scenes.procedural.styles import Style, draw_style
-from imagination.scenes.procedural.tables import build_table
-from imagination.scenes.procedural.textures import Palette
+from imagination.scenes.procedural.tables import build_dining_table
 from imagination.scenes.scene import Split
 
 STYLED: Mapping[str, Callable[[Style, Palette], Piece]] = {
     "chair": build_chair,
     "office_chair": build_office_chair,
     "armchair": build_armchair,
-    **dict.fromkeys(("dining_table", "coffee_table", "side_table"), build_table),
+    "dining_table": build_dining_table,
+    **dict.fromkeys(("coffee_table", "side_table"), build_low_table),
     **dict.fromkeys(("double_bed", "single_bed", "bunk_bed"), build_bed),
     "desk": build_desk,
 }

@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from imagination.scenes.procedural.palette import Palette
 from imagination.scenes.procedural.pieces import Assembly, Surface
 from imagination.scenes.procedural.shapes import bent, box, cushion, prism, rounded, tube
-from imagination.scenes.procedural.textures import Palette
 
 Rng = np.random.Generator
 

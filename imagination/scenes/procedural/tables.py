@@ -1,20 +1,20 @@
-"""Dining tables, coffee tables and side tables, with the places where chairs go."""
+"""Dining tables, with the places where chairs go."""
 
 from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from imagination.scenes.procedural.palette import Finish, Palette
 from imagination.scenes.procedural.pieces import Assembly, Piece, Seat, Surface
-from imagination.scenes.procedural.shapes import bent, box, ellipse, lathe, prism, rectangle, rounded, tube
+from imagination.scenes.procedural.shapes import box, ellipse, lathe, prism, rectangle, rounded, tube
 from imagination.scenes.procedural.styles import Style
-from imagination.scenes.procedural.textures import Finish, Palette
 
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 PLACE = 0.58
 """Length of table edge that one diner takes, metres."""
 
 
-def _around(half_x: float, half_y: float, height: float) -> Surface:
+def around(half_x: float, half_y: float, height: float) -> Surface:
     """A surface centred on the table."""
     return Surface(-half_x, -half_y, half_x, half_y, height)
 
@@ -58,7 +58,7 @@ def _round_seats(width: float, depth: float, reach: float, underside: float) -> 
     return seats
 
 
-def _legs(table: Assembly, finish: Finish, length: float, depth: float, leg: float, top: float) -> None:
+def square_legs(table: Assembly, finish: Finish, length: float, depth: float, leg: float, top: float) -> None:
     """Four square legs flush with a rectangle's corners."""
     for sx, sy in CORNERS:
         table.add(box(leg, leg, top), finish, (sx * (length - leg) / 2, sy * (depth - leg) / 2, 0))
@@ -72,10 +72,10 @@ def _rectangular(table: Assembly, style: Style, palette: Palette) -> None:
     under, kind = height - thick, style.family.name
     outline = rounded(length, depth, 0.08) if "round_corners" in style else rectangle(length, depth)
     table.add(prism(outline, under, height), wood)
-    table.surfaces.append(_around(length / 2, depth / 2, height))
+    table.surfaces.append(around(length / 2, depth / 2, height))
     if kind == "four_leg_table":
         leg, apron = style["leg"], style["apron"]
-        _legs(table, base, length - 0.03, depth - 0.03, leg, under)
+        square_legs(table, base, length - 0.03, depth - 0.03, leg, under)
         for side in (-1, 1):
             table.add(
                 box(length - 2 * leg - 0.03, 0.022, apron),
@@ -133,7 +133,7 @@ def _boat(table: Assembly, style: Style, palette: Palette) -> None:
         table.add(lathe(column, 16), wood, (x, 0, 0))
         table.add(box(0.09, foot, 0.06), wood, (x, 0, 0))
         table.add(box(0.09, foot * 0.8, 0.04), wood, (x, 0, height - thick - 0.04))
-    table.surfaces.append(_around(length / 2.2, depth / 2.6, height))
+    table.surfaces.append(around(length / 2.2, depth / 2.6, height))
     table.seats = _rectangular_seats(length, depth * 0.9, 0.22, 0.30, length * 0.2, height - thick - 0.04)
 
 
@@ -150,7 +150,7 @@ def _round(table: Assembly, style: Style, palette: Palette) -> None:
     for side in (-1, 1):
         table.add(box(2 * reach, 0.022, 0.06), base, (0, side * reach, height - thick - 0.06))
         table.add(box(0.022, 2 * reach, 0.06), base, (side * reach, 0, height - thick - 0.06))
-    table.surfaces.append(_around(across * 0.34, across * 0.34, height))
+    table.surfaces.append(around(across * 0.34, across * 0.34, height))
     # four places between the legs
     table.seats = [
         Seat(float(across / 2 * np.cos(a)), float(across / 2 * np.sin(a)), float(a + np.pi / 2), 2 * reach - 0.06,
@@ -176,100 +176,20 @@ def _pedestal(table: Assembly, style: Style, palette: Palette) -> None:
         (foot * 0.6, height - thick),
     ]
     table.add(lathe(profile, 28), base)
-    table.surfaces.append(_around(length * 0.33, across * 0.33, height))
+    table.surfaces.append(around(length * 0.33, across * 0.33, height))
     table.seats = _round_seats(length, across, across / 2 - stem * 1.2 - 0.1, height - thick)
-
-
-def _low(table: Assembly, style: Style, palette: Palette) -> None:
-    """Coffee tables with a rectangular or oval top."""
-    top = palette.pick(palette.woods + palette.stones)
-    length, depth, height = style["length"], style["depth"], style["height"]
-    leg, under, kind = style["leg"], style["height"] - style["thick"], style.family.name
-    outline = ellipse(length, depth) if "oval" in style else rectangle(length, depth)
-    table.add(prism(outline, under, height), top)
-    if kind == "block_table":
-        for side in (-1, 1):
-            table.add(box(leg, depth, under), top, (side * (length - leg) / 2, 0, 0))
-        table.add(box(length - 2 * leg, depth * 0.9, 0.02), top, (0, 0, under * 0.35))
-    elif kind == "hairpin_table":
-        metal, radius = palette.pick(palette.metals), leg / 2 + 0.002
-        for sx, sy in CORNERS:
-            x, y = sx * length * 0.34, sy * depth * 0.34
-            pin = [(x - 0.06, y, under), (x * 1.1, y * 1.1, radius), (x, y + 0.06 * sy, under)]
-            table.add(tube(bent(pin, 0.03), radius, 6), metal)
-    else:
-        legs = palette.pick([top, *palette.metals, *palette.woods])
-        _legs(table, legs, length - 0.02, depth - 0.02, leg, under)
-        if "shelf" in style:
-            table.add(box(length - 0.04, depth - 0.04, 0.018), legs, (0, 0, height * 0.3))
-    table.surfaces.append(_around(length * 0.36, depth * 0.36, height))
-
-
-def _small_round(table: Assembly, style: Style, palette: Palette) -> None:
-    """Round coffee tables, side tables on one stem, drums."""
-    top = palette.pick(palette.woods + palette.stones + palette.metals)
-    across, height, kind = style["across"], style["height"], style.family.name
-    if kind == "drum":
-        waist = style["waist"] * across / 2
-        table.add(lathe([(across / 2, 0), (waist, height * 0.5), (across / 2, height)], 24), top)
-    else:
-        thick = style["thick"]
-        table.add(prism(ellipse(across, across, 28), height - thick, height), top)
-        base = palette.pick([*palette.metals, *palette.woods])
-        if kind == "stand":
-            stem, foot = style["stem"], across * 0.36
-            table.add(lathe([(foot, 0), (foot, 0.015), (stem, 0.03), (stem, height - thick)], 20), base)
-        else:
-            reach, splay, leg = across * 0.30, style["splay"], style["leg"]
-            for angle in np.arange(3) * 2 * np.pi / 3 + 0.4:
-                direction = np.array([np.cos(angle), np.sin(angle)])
-                foot_at, top_at = (
-                    (*(direction * (reach + splay)), 0.0),
-                    (*(direction * reach), height - thick),
-                )
-                table.add(tube([foot_at, top_at], [leg * 0.35, leg * 0.5], 8), base)
-            if "shelf" in style:
-                table.add(
-                    prism(ellipse(across * 0.7, across * 0.7, 24), 0, 0.015), top, (0, 0, height * 0.35)
-                )
-    table.surfaces.append(_around(across * 0.32, across * 0.32, height))
-
-
-def _square_side(table: Assembly, style: Style, palette: Palette) -> None:
-    """A small square table."""
-    wood, across, height, thick = (
-        palette.pick(palette.woods),
-        style["across"],
-        style["height"],
-        style["thick"],
-    )
-    table.add(box(across, across, thick), wood, (0, 0, height - thick))
-    _legs(
-        table,
-        palette.pick([wood, *palette.metals]),
-        across - 0.02,
-        across - 0.02,
-        style["leg"],
-        height - thick,
-    )
-    if "shelf" in style:
-        table.add(box(across - 0.04, across - 0.04, 0.015), wood, (0, 0, height * 0.3))
-    table.surfaces.append(_around(across * 0.42, across * 0.42, height))
 
 
 BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {
     **dict.fromkeys(("four_leg_table", "trestle_table", "panel_table", "x_table"), _rectangular),
-    **dict.fromkeys(("low_table", "block_table", "hairpin_table"), _low),
-    **dict.fromkeys(("round_coffee_table", "stand", "drum"), _small_round),
     "boat_table": _boat,
     "round_table": _round,
     "pedestal_table": _pedestal,
-    "square_side_table": _square_side,
 }
 
 
-def build_table(style: Style, palette: Palette) -> Piece:
-    """A table (not a desk) of one style in the finishes of one home."""
+def build_dining_table(style: Style, palette: Palette) -> Piece:
+    """A dining table of one style in the finishes of one home."""
     table = Assembly(style.family.label, style.model)
     BUILDERS[style.family.name](table, style, palette)
     return table.finished()

@@ -1,0 +1,120 @@
+"""The written report of an evaluation: its tables as files, and beside them what a reader must know about them."""
+
+from collections.abc import Mapping
+from math import degrees, isinf
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from imagination.evaluation import tables
+from imagination.evaluation.approaches import Approach, ProjectedSegmentation, Setting
+from imagination.evaluation.metrics import CONFIDENCE
+from imagination.evaluation.protocol import MappingProtocol, Report
+from imagination.runs import write_text
+
+
+class Provenance(NamedTuple):
+    """Where a report's numbers come from.
+
+    Attributes:
+        command: that made them.
+        hardware: that it ran on.
+        seconds: of wall time that evaluation took.
+        sensor: what all approaches looked through, see `declared_sensor`.
+    """
+
+    command: str
+    hardware: str
+    seconds: float
+    sensor: str
+
+
+def write(
+    folder: Path, report: Report, protocol: MappingProtocol, resolution: float, origin: Provenance
+) -> None:
+    """Write mapping.csv, paired.csv, runs.csv and mapping.md into `folder`, each whole or not at all."""
+    mapping = tables.mapping_rows(report, protocol, resolution)
+    paired = tables.paired_rows(report, protocol)
+    write_text(folder / "mapping.csv", tables.to_csv(mapping))
+    write_text(folder / "paired.csv", tables.to_csv(paired))
+    write_text(folder / "runs.csv", tables.to_csv(tables.run_rows(report)))
+    parts = [
+        "# Mapping from sparse viewpoints",
+        tables.to_markdown(mapping, tables.MAIN),
+        _averages(report, protocol),
+        *(_in_pairs(paired) if paired else []),
+        "## How it was made",
+        _circumstances(mapping, report, protocol, origin),
+    ]
+    write_text(folder / "mapping.md", "\n\n".join(parts) + "\n")
+
+
+def declared_sensor(setting: Setting, approaches: Mapping[str, Approach]) -> str:
+    """What decides how much a view can tell, for all approaches and for those that project segmentation."""
+    camera, ego = setting.camera, setting.ego
+    said = (
+        f"{camera.width} x {camera.height} pixels, field of view {degrees(camera.field_of_view):.0f} degrees, "
+        f"{camera.mount_height:g} m above the floor; egocentric map of {ego.cells * ego.resolution:.2f} m a side, "
+        f"cells of {ego.resolution:g} m"
+    )
+    for name, approach in approaches.items():
+        if isinstance(evidence := approach.evidence, ProjectedSegmentation):
+            limit = "none but that map" if isinf(evidence.max_range) else f"{evidence.max_range:g} m"
+            band = f"{evidence.low:g} to {evidence.high:g} m above the floor"
+            said += f"; {name} projects returns {band}, range limit {limit}"
+    return said
+
+
+def _averages(report: Report, protocol: MappingProtocol) -> str:
+    """What is averaged over what, and what is left out."""
+    left_out = "; ".join(
+        f"{category}: {len(names)} of {len(names) + len(report.homes[category])}"
+        for category, names in report.left_out.items()
+    )
+    sets = len(report.snap_distances)
+    empty = sum(len(distances) == 0 for distances in report.snap_distances)
+    views = sum(map(len, report.snap_distances)) * protocol.orientations
+    return (
+        f"A run is one home, cell width and viewpoint set; each cell width has {protocol.viewpoint_sets} sets a home, "
+        f"with {protocol.orientations} random headings a viewpoint ({views} views in all). Truth is M_gt of the whole "
+        "home, seen or not. `iou_pooled` divides the correct pixels of all runs by the union's, `iou_mean` is the mean "
+        f"of the runs' IoU, and pixels are summed over runs. The {CONFIDENCE:.0%} intervals of `iou_pooled` come from "
+        f"{protocol.resamples} bootstrap resamples of homes. Homes without the category are left out ({left_out}). "
+        f"{empty} of {sets} viewpoint sets are empty, the cell width being large for the home, and count with "
+        "empty maps."
+    )
+
+
+def _in_pairs(paired: list[tables.Row]) -> list[str]:
+    return [
+        "## In pairs",
+        tables.to_markdown(paired, list(paired[0])),
+        f"Differences of `iou_pooled`, with {CONFIDENCE:.0%} intervals over homes resampled in pairs.",
+    ]
+
+
+def _circumstances(
+    mapping: list[tables.Row], report: Report, protocol: MappingProtocol, origin: Provenance
+) -> str:
+    """Sensor, registration, choices, seed, hardware, time and command, as a list."""
+    rules = ", ".join(f"{name} by {approach.rule}" for name, approach in protocol.approaches.items())
+    order = max(abs(float(row["iou_pooled"]) - float(row["iou_shuffled"])) for row in mapping)
+    distances = np.concatenate(report.snap_distances)
+    moved = distances.mean() if len(distances) else 0.0
+    finished = {"keep": "", "close": ", closed by {:g} m", "grow": ", grown by {:g} m"}
+    chosen = "; ".join(
+        f"{name} ({category}) threshold {choice.threshold:.2f}"
+        + finished[protocol.approaches[name].finish].format(choice.kernel)
+        for (name, category), choice in report.choices.items()
+    )
+    return "\n".join(
+        [
+            f"- Sensor, the same for all approaches: {origin.sensor}.",
+            f"- Registration: {rules}; views in viewpoint order, then orientation. In a random order `iou_pooled` "
+            f"changes by {order:.4f} at most. Viewpoints were moved {moved:.2f} m on average to free space.",
+            f"- Chosen on validation homes by pooled IoU at all cell widths together: {chosen}.",
+            f"- Seed {protocol.seed}; {origin.hardware}; evaluation took {origin.seconds:.0f} s of wall time.",
+            f"- Command: `{origin.command}`",
+        ]
+    )

@@ -1,0 +1,140 @@
+"""Ground truth of a scene as arrays and pictures: `python -m imagination.render scene=test_0000`."""
+
+import logging
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import numpy as np
+from hydra.utils import instantiate
+from matplotlib.figure import Figure
+from omegaconf import DictConfig
+
+from imagination import runs
+from imagination.categories import CategoryTable
+from imagination.config import command
+from imagination.errors import check_choice, check_range
+from imagination.geometry.morphology import kernel_cells
+from imagination.ground_truth import pictures
+from imagination.ground_truth.label import imaginable_mask, label, neighbourhood
+from imagination.ground_truth.maps import GroundTruth
+from imagination.ground_truth.pictures import Look
+from imagination.scenes.renderer import Renderer
+from imagination.scenes.scene import SPLITS, Scene, Split
+from imagination.views.poses import sample_poses
+from imagination.views.view import Observer, View
+
+log = logging.getLogger(__name__)
+
+
+class Kernels(NamedTuple):
+    """Sides of the squares that make V_filter and M*_seen, cells."""
+
+    imaginable: int
+    neighbourhood: int
+
+
+@command("render")
+def main(config: DictConfig) -> None:
+    """Write the ground truth and some views of one scene."""
+    check_range("poses", config.poses, 1, 10_000, "views")
+    observer: Observer = instantiate(config.data.observer)
+    split = cast(Split, check_choice("split", config.split, SPLITS))
+    name = config.scene or observer.source.scenes(split)[0]
+    folder = Path(config.folder) / name
+    scene, truth = observer.scene(name), observer.truth(name)
+    folder.mkdir(parents=True, exist_ok=True)
+    with runs.logging_to(folder / "render.log"):
+        for line in summary(scene, truth, observer.categories):
+            log.info(line)
+        sizes = config.kernels.imaginable, config.kernels.neighbourhood
+        kernels = Kernels(*(kernel_cells(size, observer.ego.resolution) for size in sizes))
+        looks = choose_looks(observer, name, config.poses, config.seed, kernels)
+        save_arrays(
+            folder / "truth.npz", {**truth.to_arrays(), "categories": np.array(observer.categories.names)}
+        )
+        save_arrays(folder / "views.npz", stack(looks))
+        save_figure(folder / "scene.png", pictures.draw_scene(scene, truth, observer.categories, looks))
+        for category in observer.categories.names:
+            save_figure(
+                folder / f"{category}.png",
+                pictures.draw_category(scene, truth, observer.categories, category),
+            )
+        save_figure(folder / "views.png", pictures.draw_views(looks, observer.ego))
+        save_figure(folder / "labels.png", pictures.draw_labels(looks, observer.ego, observer.categories))
+        log.info("Written: %s/ (truth.npz, views.npz and pictures)", folder)
+
+
+def summary(scene: Scene, truth: GroundTruth, categories: CategoryTable) -> list[str]:
+    """What the scene contains, and how much of it is in the ground truth."""
+    cell = truth.grid.resolution**2
+    free = scene.free_space.mask.sum() * scene.free_space.grid.resolution**2
+    lines = [
+        f"{scene.name}: {len(scene.mesh.faces)} triangles, {free:.1f} m2 free, {len(truth.points)} points"
+    ]
+    for layer, name in enumerate(categories.names):
+        count, area = len(scene.of_category(name)), truth.truth[layer].sum() * cell
+        shared = truth.truth[layer] & np.delete(truth.truth, layer, axis=0).any(axis=0)
+        share = shared.sum() / max(truth.truth[layer].sum(), 1)
+        lines.append(
+            f"{name}: {count} objects, {area:.2f} m2 of truth, {share:.1%} of it also another category's"
+        )
+    return lines
+
+
+def choose_looks(observer: Observer, name: str, poses: int, seed: int, kernels: Kernels) -> list[Look]:
+    """Of random views, for each category the one with the largest label."""
+    rng = np.random.default_rng(seed)
+    scene = observer.scene(name)
+    views = [observer.observe(name, pose, rng) for pose in sample_poses(scene.free_space, poses, rng)]
+    sizes = np.array(
+        [label(view.object, view.seen[None], kernels.imaginable).sum(axis=(1, 2)) for view in views]
+    )
+    renderer = Renderer(scene.mesh, scene.lighting)
+    looks = []
+    for layer in range(len(observer.categories)):
+        best = int(sizes[:, layer].argmax())
+        sizes[best] = -1  # no view twice, where there are enough
+        looks.append(develop(views[best], layer, observer, renderer, scene.floor_height, kernels))
+    return looks
+
+
+def develop(
+    view: View, layer: int, observer: Observer, renderer: Renderer, floor: float, kernels: Kernels
+) -> Look:
+    """Everything that becomes of a view for one category."""
+    objects = view.object[layer]
+    image = renderer.render(observer.camera, observer.camera.to_world(view.pose, floor))
+    return Look(
+        view.pose,
+        layer,
+        view.rgb,
+        view.depth,
+        image.instance,
+        view.occupied,
+        view.seen,
+        objects,
+        imaginable_mask(objects, view.seen, kernels.imaginable),
+        label(objects, view.seen, kernels.imaginable),
+        neighbourhood(objects, view.seen, kernels.neighbourhood),
+    )
+
+
+def stack(looks: list[Look]) -> dict[str, np.ndarray]:
+    """Views as arrays with a leading axis."""
+    return {field: np.stack([np.asarray(getattr(look, field)) for look in looks]) for field in Look._fields}
+
+
+def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write arrays whole or not at all."""
+    with runs.replacing(path) as temporary:
+        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
+
+
+def save_figure(path: Path, figure: Figure) -> None:
+    """Write a picture whole or not at all."""
+    with runs.replacing(path) as temporary:
+        figure.savefig(temporary)
+
+
+if __name__ == "__main__":
+    main()

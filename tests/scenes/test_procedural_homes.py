@@ -1,0 +1,253 @@
+"""Procedural homes as scenes: the same every time, furnished sensibly, and open to the robot."""
+
+import pickle
+from functools import cache
+
+import numpy as np
+import pytest
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from imagination.categories import Category, CategoryTable
+from imagination.errors import UserError
+from imagination.scenes.procedural.source import ProceduralHomes
+from imagination.scenes.scene import SPLITS, Scene, SceneObject, SceneSource
+
+MEMBERS = {
+    "chair": ["chair", "office_chair", "armchair"],
+    "bed": ["double_bed", "single_bed", "bunk_bed"],
+    "table": ["dining_table", "desk", "coffee_table", "side_table"],
+}
+TABLE = CategoryTable([Category(name, (0, 0, 0), {"procedural": labels}) for name, labels in MEMBERS.items()])
+RADIUS = 0.2
+
+
+def homes(seed: int = 0, categories: CategoryTable = TABLE, **changes: object) -> ProceduralHomes:
+    splits = {"train": 3, "val": 2, "test": 3}
+    return ProceduralHomes(seed, splits, categories, **{"robot_radius": RADIUS, **changes})
+
+
+SOURCE = homes()
+NAMES = [name for split in SPLITS for name in SOURCE.scenes(split)]
+load = cache(SOURCE.load)
+
+
+@pytest.fixture(params=NAMES)
+def scene(request: pytest.FixtureRequest) -> Scene:
+    return load(request.param)
+
+
+@pytest.fixture
+def scenes() -> list[Scene]:
+    return [load(name) for name in NAMES]
+
+
+def vertices_of(scene: Scene, instance: int) -> np.ndarray:
+    return scene.mesh.vertices[scene.mesh.faces[scene.mesh.face_instance == instance]].reshape(-1, 3)
+
+
+def in_box_frame(thing: SceneObject, points: np.ndarray) -> np.ndarray:
+    """Points relative to the box's centre, along its own axes."""
+    cos, sin = np.cos(thing.box.yaw), np.sin(thing.box.yaw)
+    relative = points - np.array(thing.box.centre)[: points.shape[1]]
+    turned = relative.copy()
+    turned[:, 0] = cos * relative[:, 0] + sin * relative[:, 1]
+    turned[:, 1] = -sin * relative[:, 0] + cos * relative[:, 1]
+    return turned
+
+
+def overlapping(one: SceneObject, other: SceneObject, hair: float = 0.004) -> bool:
+    """Whether two boxes share more than `hair` metres in every direction (sampled densely, no separating axes)."""
+    tops = [thing.box.centre[2] + thing.box.size[2] / 2 for thing in (one, other)]
+    feet = [thing.box.centre[2] - thing.box.size[2] / 2 for thing in (one, other)]
+    reach = (np.hypot(*one.box.size[:2]) + np.hypot(*other.box.size[:2])) / 2
+    far = np.hypot(*(np.array(one.box.centre) - other.box.centre)[:2]) > reach
+    if far or min(tops) - max(feet) < hair:
+        return False
+    share = np.linspace(-0.5, 0.5, 60)
+    grid = np.stack(np.meshgrid(share, share), axis=-1).reshape(-1, 2) * (
+        np.array(one.box.size[:2]) - 2 * hair
+    )
+    cos, sin = np.cos(one.box.yaw), np.sin(one.box.yaw)
+    points = grid @ np.array([[cos, sin], [-sin, cos]]) + one.box.centre[:2]
+    inside = np.abs(in_box_frame(other, points)) < np.array(other.box.size[:2]) / 2 - hair
+    return bool(inside.all(axis=1).any())
+
+
+def overlaps(scene: Scene) -> list[tuple[SceneObject, SceneObject]]:
+    things = [thing for thing in scene.objects if thing.label != "rug"]
+    return [
+        (a, b) for n, a in enumerate(things) for b in things[:n] if overlapping(a, b) or overlapping(b, a)
+    ]
+
+
+def first_hits(scene: Scene, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    embree = EmbreeScene()
+    TriangleMesh(embree, scene.mesh.vertices[scene.mesh.faces])
+    return embree.run(origins.astype(np.float32), directions.astype(np.float32), query="DISTANCE")
+
+
+def test_source_fulfils_the_interface() -> None:
+    assert isinstance(SOURCE, SceneSource)
+    assert SOURCE.scenes("val") == ["val_0000", "val_0001"]
+    assert SOURCE.categories() == ("chair", "bed", "table")
+
+
+def test_a_home_depends_on_seed_split_and_number_alone() -> None:
+    again = pickle.loads(pickle.dumps(homes(robot_radius=RADIUS))).load("train_0001")
+    scene = load("train_0001")
+    np.testing.assert_array_equal(again.mesh.vertices, scene.mesh.vertices)
+    np.testing.assert_array_equal(again.mesh.face_uv, scene.mesh.face_uv)
+    np.testing.assert_array_equal(again.free_space.mask, scene.free_space.mask)
+    assert again.objects == scene.objects
+    for one, other in zip(again.mesh.materials, scene.mesh.materials, strict=True):
+        assert one.colour == other.colour
+        np.testing.assert_array_equal(one.texture, other.texture)
+    assert homes(seed=1).load("train_0001").mesh.vertices.shape != scene.mesh.vertices.shape
+
+
+def test_fingerprint_tells_homes_apart() -> None:
+    prints = [SOURCE.fingerprint(name) for name in NAMES]
+    prints += [homes(seed=1).fingerprint("train_0000"), homes(robot_radius=0.25).fingerprint("train_0000")]
+    assert len(set(prints)) == len(prints)
+    assert homes().fingerprint("train_0000") == prints[0]
+
+
+def test_splits_share_no_model(scenes) -> None:
+    models = {
+        split: {o.model for s in scenes if s.name.startswith(split) for o in s.objects if o.category}
+        for split in SPLITS
+    }
+    assert not models["train"] & models["test"]
+    assert not models["train"] & models["val"]
+    assert not models["val"] & models["test"]
+
+
+def test_every_home_has_chairs_tables_and_beds(scene: Scene) -> None:
+    assert all(scene.of_category(category) for category in ("chair", "table", "bed"))
+    assert not any(
+        thing.category for thing in scene.objects if thing.label in ("stool", "sofa", "nightstand")
+    )
+
+
+def test_size_of_the_mesh_and_place_of_the_home(scene: Scene) -> None:
+    mesh = scene.mesh
+    assert 8_000 < len(mesh.faces) < 100_000
+    building = vertices_of(scene, 0)
+    middle = (building.min(axis=0) + building.max(axis=0)) / 2
+    np.testing.assert_allclose(middle[:2], 0, atol=1e-4)
+    np.testing.assert_allclose(
+        [building[:, 2].min(), building[:, 2].max()], [0, scene.ceiling_height], atol=1e-4
+    )
+    assert mesh.face_material.max() < len(mesh.materials)
+    assert set(np.unique(mesh.face_instance)) == {0} | {thing.instance for thing in scene.objects}
+
+
+def test_floor_area_is_within_the_promise(scene: Scene) -> None:
+    corners = scene.mesh.vertices[scene.mesh.faces[scene.mesh.face_instance == 0]]
+    floor = corners[(np.abs(corners[..., 2]) < 1e-4).all(axis=1)].astype(float)
+    up = np.cross(floor[:, 1] - floor[:, 0], floor[:, 2] - floor[:, 0])[:, 2]
+    assert 40 <= up[up > 0].sum() / 2 <= 155  # thresholds of the doors come on top of the rooms
+
+
+def test_boxes_fit_their_meshes_tightly(scene: Scene) -> None:
+    for thing in scene.objects:
+        points = in_box_frame(thing, vertices_of(scene, thing.instance).astype(float))
+        np.testing.assert_allclose(points.min(axis=0), -np.array(thing.box.size) / 2, atol=1e-4)
+        np.testing.assert_allclose(points.max(axis=0), np.array(thing.box.size) / 2, atol=1e-4)
+
+
+def test_furniture_does_not_overlap(scene: Scene) -> None:
+    """Chairs reach under tables (and so into the boxes of what stands on them); things stand upon others."""
+    for one, other in overlaps(scene):
+        low = max((one, other), key=lambda thing: thing.box.centre[2] - thing.box.size[2] / 2)
+        tucked = {"chair", "table"} == {one.category, other.category}
+        stands_upon = low.box.centre[2] - low.box.size[2] / 2 > 0.25
+        assert tucked or stands_upon, (scene.name, one.label, other.label)
+
+
+def test_no_chair_touches_the_table_it_is_under(scenes) -> None:
+    tucked = 0
+    for scene in scenes:
+        for pair in overlaps(scene):
+            chair, table = sorted(pair, key=lambda thing: thing.category or "")
+            if (chair.category, table.category) != ("chair", "table"):
+                continue
+            tucked += 1
+            points = vertices_of(scene, chair.instance).astype(float)
+            inside = (
+                np.abs(in_box_frame(table, points))[:, :2] < np.array(table.box.size[:2]) / 2 - 0.02
+            ).all(axis=1)
+            top = table.box.centre[2] + table.box.size[2] / 2
+            assert not inside.any() or points[inside, 2].max() < top
+            # its front is the end under the table
+            front = np.array([-np.sin(chair.box.yaw), np.cos(chair.box.yaw)]) * chair.box.size[1] / 2
+            ends = np.array(chair.box.centre[:2]) + np.stack([front, -front])
+            assert np.argmin(np.abs(in_box_frame(table, ends)).max(axis=1)) == 0
+    assert tucked > 2 * len(scenes)
+
+
+def test_most_homes_have_chairs_under_tables(scenes) -> None:
+    pairs = [{frozenset((a.category, b.category)) for a, b in overlaps(scene)} for scene in scenes]
+    assert sum(frozenset(("chair", "table")) in found for found in pairs) >= 0.75 * len(scenes)
+
+
+def test_beds_stand_with_their_backs_to_a_wall(scene: Scene) -> None:
+    for bed in scene.of_category("bed"):
+        back = -np.array([-np.sin(bed.box.yaw), np.cos(bed.box.yaw)])
+        origin = np.array([*(np.array(bed.box.centre[:2]) + back * (bed.box.size[1] / 2 + 0.001)), 0.15])
+        assert first_hits(scene, origin[None], np.array([[*back, 0.0]]))[0] < 0.1
+
+
+def test_free_space_is_connected_and_clear_of_furniture(scene: Scene) -> None:
+    free = scene.free_space
+    assert ndimage.label(free.mask)[1] == 1
+    centres = free.grid.to_points(np.argwhere(free.mask))
+    assert len(centres) * free.grid.resolution**2 > 5
+    points = scene.mesh.vertices[(scene.mesh.vertices[:, 2] > 0.06) & (scene.mesh.vertices[:, 2] < 1.49)]
+    assert cKDTree(points[:, :2]).query(centres)[0].min() > RADIUS - 0.04
+    for thing in scene.objects:
+        if thing.label in ("rug", "picture", "wall_units") or thing.model.startswith("corner_desk"):
+            continue  # flat, high on the wall, or with free floor inside its box
+        points = np.column_stack([centres, np.full(len(centres), thing.box.centre[2])])
+        assert not (np.abs(in_box_frame(thing, points)) < np.array(thing.box.size) / 2).all(axis=1).any()
+
+
+def test_no_ray_leaves_the_home(scene: Scene) -> None:
+    rng = np.random.default_rng(0)
+    cells = np.argwhere(scene.free_space.mask)
+    places = scene.free_space.grid.to_points(cells[rng.integers(len(cells), size=4000)])
+    origins = np.column_stack([places, rng.uniform(0.1, 2.0, 4000)])
+    directions = rng.standard_normal((4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    assert first_hits(scene, origins, directions).max() < 30
+
+
+def test_bad_input_is_refused_with_what_is_allowed() -> None:
+    with pytest.raises(UserError, match=r"got 'train_0003'.*train_0000 to train_0002"):
+        SOURCE.load("train_0003")
+    with pytest.raises(UserError, match=r"got 'attic'.*expected one of"):
+        SOURCE.fingerprint("attic")
+    with pytest.raises(UserError, match=r"splits\.val: got -1"):
+        ProceduralHomes(0, {"train": 1, "val": -1, "test": 1}, TABLE, RADIUS)
+    with pytest.raises(UserError, match="expected train, val, test"):
+        ProceduralHomes(0, {"train": 1}, TABLE, RADIUS)
+    with pytest.raises(UserError, match="split val: has no homes; set splits.val"):
+        ProceduralHomes(0, {"train": 1, "val": 0, "test": 1}, TABLE, RADIUS).scenes("val")
+    with pytest.raises(UserError, match="robot_radius: got 2.0"):
+        homes(robot_radius=2.0)
+    with pytest.raises(UserError, match="seed: got -4"):
+        homes(seed=-4)
+
+
+def test_labels_that_do_not_exist_and_categories_without_labels_are_refused() -> None:
+    misspelt = CategoryTable([Category("chair", (0, 0, 0), {"procedural": ["chiar"]})])
+    with pytest.raises(UserError, match=r"claims chiar of procedural.*armchair"):
+        homes(categories=misspelt)
+    lamp = CategoryTable([*TABLE, Category("lamp", (0, 0, 0), {"replica": ["lamp"]})])
+    with pytest.raises(UserError, match=r"category lamp: no procedural home contains it.*floor_lamp"):
+        homes(categories=lamp, required=["lamp"])
+    with pytest.raises(UserError, match=r"category: got 'sofa'"):
+        homes(required=["sofa"])

@@ -1,0 +1,104 @@
+"""Commands as a user runs them: what a run leaves behind, and what mistakes get."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT, Command
+
+EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_experiments_run_fast(command: Command, experiment: str) -> None:
+    done = command("train", f"+experiment={experiment}", "scale=test", "trainer.fast_dev_run=true")
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_whole_run(command: Command, tmp_path: Path) -> None:
+    done = command("train", "+experiment=chair_unet", "scale=test")
+    assert done.returncode == 0, done.stderr
+    folders = [path for path in (tmp_path / "outputs" / "chair_unet").iterdir() if not path.is_symlink()]
+    assert len(folders) == 1
+    run = folders[0]
+    assert (tmp_path / "outputs" / "chair_unet" / "latest").resolve() == run
+    for name in (
+        "config.yaml run.log tables/mapping.csv tables/mapping.md checkpoints/last.ckpt checkpoints/best.ckpt"
+    ).split():
+        assert (run / name).stat().st_size > 0, name
+    assert list(run.glob("tensorboard/events*")) and list(run.glob("figures/*.png"))
+    assert "tensorboard --logdir outputs/chair_unet" in done.stderr
+    assert all(share in done.stderr for share in ("homes and truth", "training", "evaluation", "Peak memory"))
+    again = next(line for line in done.stderr.splitlines() if line.startswith("Evaluate again: "))
+    assert "=" not in again.partition("ckpt=")[2]
+    done = command(*again.partition("imagination.")[2].split())
+    assert done.returncode == 0, done.stderr
+    evaluated = next(run.parent.glob("evaluate_*"))
+    for table in ("mapping.csv", "paired.csv", "runs.csv"):
+        assert (evaluated / "tables" / table).read_bytes() == (run / "tables" / table).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["+experiment=chair_unt"], ["Could not find 'experiment/chair_unt'", "chair_unet", "bed_unet"]),
+        (["scale=huge"], ["desk", "paper", "test"]),
+        (["model/encoder=foo"], ["resnet18", "timm"]),
+        (["unit_categories=[sofa]"], ["got 'sofa', expected one of: bed, chair, table"]),
+        (["kernels.imaginable=-1"], ["kernels.imaginable: got -1"]),
+        (["kernel.imaginable=1"], ["Key 'kernel' is not in struct"]),
+        (["resume=latest"], ["found no run of any experiment"]),
+        (["ckpt_path=nothing.ckpt"], ["got nothing.ckpt, but there is no such file"]),
+        (["scale=test", "model/encoder=timm"], ["Missing mandatory value"]),
+    ],
+)
+def test_mistakes_get_one_message(command: Command, tmp_path: Path, arguments: list[str], told: list[str]) -> None:
+    done = command("train", *arguments)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert done.stderr.startswith("error: ") and len(done.stderr.splitlines()) < 12
+    assert all(text in done.stderr for text in told), done.stderr
+    assert not (tmp_path / "outputs").exists()
+
+
+def test_a_mistake_found_later_is_told_as_shortly(command: Command, tmp_path: Path) -> None:
+    done = command("train", "scale=test", "model/encoder=timm", "model.encoder.name=resnet1888")
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr and "resnet18" in done.stderr
+    assert "Traceback" in (tmp_path / "outputs" / "custom" / "latest" / "run.log").read_text()
+
+
+def test_a_sweep_has_a_folder_of_its_own(command: Command, tmp_path: Path) -> None:
+    done = command("train", "-m", "scale=test", "name=swept", "trainer.fast_dev_run=true", "seed=1,2", timeout=300)
+    assert done.returncode == 0, done.stderr
+    members = list((tmp_path / "outputs" / "swept").glob("multirun_*/*/config.yaml"))
+    assert sorted(path.parent.name for path in members) == ["0", "1"]
+    assert not (tmp_path / "outputs" / "swept" / "latest").exists()
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
+    arguments = ["+experiment=chair_unet", "scale=test", "scale.rounds=10000", "scale.eval_every=10000"]
+    with open(tmp_path / "told", "w") as told:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "imagination.train", *arguments],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stderr=told,
+        )
+        try:
+            last = tmp_path / "outputs" / "chair_unet" / "latest" / "checkpoints" / "last.ckpt"
+            while not last.is_file():
+                assert process.poll() is None, (tmp_path / "told").read_text()
+                time.sleep(0.1)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(60) == 130
+        finally:
+            process.kill()
+    text = (tmp_path / "told").read_text()
+    assert "Traceback" not in text
+    assert "Interrupted. Go on with: python -m imagination.train ckpt_path=outputs/chair_unet/" in text

@@ -1,0 +1,112 @@
+"""Every experiment composes at every scale, the scale's sizes win, and bad values are refused by name."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+
+from imagination.config import compose, validate
+from imagination.errors import UserError
+from tests.conftest import ROOT
+
+CONF = ROOT / "conf"
+
+
+def options(group: str) -> list[str]:
+    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+
+
+def read(path: Path) -> dict:
+    return yaml.safe_load(path.read_text())
+
+
+@pytest.mark.parametrize("callbacks", options("callbacks"))
+@pytest.mark.parametrize("scale", options("scale"))
+@pytest.mark.parametrize("experiment", options("experiment"))
+def test_the_scale_wins(experiment: str, scale: str, callbacks: str) -> None:
+    config = compose("train", [f"+experiment={experiment}", f"scale={scale}", f"callbacks=[{callbacks}]", "paths.run=."])
+    resolved = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    sizes = read(CONF / "scale" / f"{scale}.yaml")
+    assert resolved["scale"] == sizes
+    assert resolved["name"] == experiment
+    assert resolved["trainer"]["max_epochs"] == sizes["rounds"]
+    assert resolved["data"]["module"]["batch_size"] == sizes["batch_size"]
+    assert resolved["data"]["observer"]["camera"]["width"] == sizes["image"]
+    assert resolved["ego"]["resolution"] == resolved["ground_truth"]["resolution"] == sizes["resolution"]
+    assert resolved["model"]["optimizer"]["lr"] == sizes["learning_rate"]
+    assert resolved["evaluation"]["cell_widths"] == sizes["cell_widths"]
+    validate(config)
+
+
+def test_scales_have_the_same_keys() -> None:
+    keys = [list(read(CONF / "scale" / f"{scale}.yaml")) for scale in options("scale")]
+    assert all(names == keys[0] for names in keys)
+
+
+@pytest.mark.parametrize("experiment", options("experiment"))
+def test_no_experiment_sets_a_size(experiment: str) -> None:
+    assert "scale" not in read(CONF / "experiment" / f"{experiment}.yaml")
+    assert "scale" not in str(read(CONF / "experiment" / f"{experiment}.yaml").get("defaults"))
+
+
+def test_paper_holds_the_appendix() -> None:
+    from imagination.geometry.grid import cells_of
+    from imagination.geometry.morphology import kernel_cells
+
+    config = compose("train", ["+experiment=chair_unet", "scale=paper"])
+    scale, kernels = config.scale, config.kernels
+    assert (scale.learning_rate, scale.batch_size, scale.buffer_size) == (0.001, 108, 12288)
+    assert (scale.update_interval, scale.update_batches, scale.parallel_scenes) == (5, 20, 16)
+    assert (scale.homes.test, scale.viewpoint_sets, scale.orientations) == (60, 10, 2)
+    assert list(scale.cell_widths) == [3.0, 2.5, 2.0]
+    assert cells_of(scale.ego_extent, scale.resolution) == 261
+    assert cells_of(scale.world_extent, scale.resolution) == 2001
+    sides = [kernel_cells(size, scale.resolution) for size in (kernels.imaginable, kernels.neighbourhood, kernels.truth)]
+    assert sides == [50, 31, 30]
+    assert config.model.optimizer._target_ == "torch.optim.Adam"
+    assert config.aggregation_factor == 0.9
+    assert config.callbacks.replay_buffer.aggregation_factor == 0.9
+    assert config.mapping.registration.aggregation_factor == 0.9
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("kernels.imaginable=-1", r"kernels.imaginable: got -1, expected a number in \[0.005, 10.0\] m"),
+        ("kernels.truth=nan", "kernels.truth: got nan"),
+        ("scale.resolution=0", "scale.resolution: got 0"),
+        ("aggregation_factor=1.5", r"aggregation_factor: got 1.5, expected a number in \[0.0, 1.0\]"),
+        ("aggregation_factor=much", "aggregation_factor: got 'much'"),
+        ("scale.cell_widths=[3.0,0]", "scale.cell_widths: got 0"),
+        ("scale.cell_widths=3.0", "expected a list"),
+        ("scale.rounds=2.5", "scale.rounds: got 2.5, expected a whole number"),
+        ("trainer.max_epochs=null", "trainer.max_epochs: got None"),
+        ("scale.world_extent=9000", "choose a coarser resolution or a smaller extent"),
+        ("unit_categories=[sofa]", "got 'sofa', expected one of: bed, chair, table"),
+        ("unit_categories=[]", "expected at least one of: chair, bed, table"),
+        ("name=a/b", "name: got 'a/b'"),
+        ("name=default", "name: got 'default'"),
+    ],
+)
+def test_out_of_range_is_refused(override: str, told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        validate(compose("train", [override]))
+
+
+def test_a_small_imaginable_mask_warns() -> None:
+    with pytest.warns(UserWarning, match="kernels.imaginable .0.5 m. is smaller than"):
+        validate(compose("train", ["kernels.imaginable=0.5"]))
+
+
+def test_unknown_options_list_those_that_exist() -> None:
+    with pytest.raises(HydraException, match=r"(?s)scale/huge.*desk.*paper.*test"):
+        compose("train", ["scale=huge"])
+
+
+def test_a_category_is_added_by_config() -> None:
+    row = "+categories.stool={colour: [90, 160, 90], members: {procedural: [stool]}}"
+    config = compose("train", [row, "unit_categories=[stool]"])
+    validate(config)
+    assert list(config.categories) == ["chair", "bed", "table", "stool"]
