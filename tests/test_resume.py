@@ -142,7 +142,7 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(tmp_path: Path, command: Comm
         time.sleep(0.02)
     time.sleep(moment)
     os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    assert process.wait() == -signal.SIGKILL
     done = command("train", "resume=latest", f"paths.outputs={broken}")
     assert done.returncode == 0, done.stderr
     for name in ("mapping.csv", "runs.csv"):

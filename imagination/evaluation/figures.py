@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from imagination.evaluation.protocol import Example, Report
+from imagination.evaluation.outcome import Example, Report
 from imagination.evaluation.tables import Row
 from imagination.runs import replacing
 

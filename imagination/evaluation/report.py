@@ -10,7 +10,8 @@ import numpy as np
 from imagination.evaluation import tables
 from imagination.evaluation.approaches import Approach, ProjectedSegmentation, Setting
 from imagination.evaluation.metrics import CONFIDENCE
-from imagination.evaluation.protocol import MappingProtocol, Report
+from imagination.evaluation.outcome import Report
+from imagination.evaluation.protocol import MappingProtocol
 from imagination.runs import write_text
 
 
@@ -19,12 +20,14 @@ class Provenance(NamedTuple):
 
     Attributes:
         command: that made them.
+        seed: of the run that trained.
         hardware: that it ran on.
         seconds: of wall time that evaluation took.
         sensor: what all approaches looked through, see `declared_sensor`.
     """
 
     command: str
+    seed: int
     hardware: str
     seconds: float
     sensor: str
@@ -114,7 +117,8 @@ def _circumstances(
             f"- Registration: {rules}; views in viewpoint order, then orientation. In a random order `iou_pooled` "
             f"changes by {order:.4f} at most. Viewpoints were moved {moved:.2f} m on average to free space.",
             f"- Chosen on validation homes by pooled IoU at all cell widths together: {chosen}.",
-            f"- Seed {protocol.seed}; {origin.hardware}; evaluation took {origin.seconds:.0f} s of wall time.",
+            f"- Seed of the run {origin.seed}, of viewpoints, headings and bootstrap {protocol.seed}.",
+            f"- {origin.hardware}; evaluation took {origin.seconds:.0f} s of wall time.",
             f"- Command: `{origin.command}`",
         ]
     )

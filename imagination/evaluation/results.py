@@ -15,8 +15,9 @@ from rich.console import Console
 from imagination.data.datamodule import SceneData
 from imagination.evaluation import figures, report, tables
 from imagination.evaluation.approaches import Setting
+from imagination.evaluation.outcome import Report
 from imagination.evaluation.prediction import Model, Predictor
-from imagination.evaluation.protocol import MappingProtocol, Report, Subject
+from imagination.evaluation.protocol import MappingProtocol, Subject
 
 
 class Results(NamedTuple):
@@ -56,6 +57,7 @@ def evaluate(protocol: MappingProtocol, data: SceneData, models: Sequence[Model]
     resolution = subject.setting.ego.resolution
     origin = report.Provenance(
         command_line(),
+        data.seed,
         hardware(),
         perf_counter() - start,
         report.declared_sensor(subject.setting, protocol.approaches),

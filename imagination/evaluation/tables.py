@@ -14,7 +14,8 @@ from imagination.evaluation.metrics import (
     pooled_iou,
     resample,
 )
-from imagination.evaluation.protocol import MappingProtocol, Report
+from imagination.evaluation.outcome import Report
+from imagination.evaluation.protocol import MappingProtocol
 
 Row = dict[str, str]
 """Cells of a table's row by column, formatted, so that the same numbers give the same bytes."""

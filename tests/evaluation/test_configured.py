@@ -58,11 +58,11 @@ def test_without_overrides_everything_is_as_in_the_run() -> None:
 
 
 def test_an_override_reaches_everything_that_refers_to_it() -> None:
-    kept = checkpoint(["scale=test"], "seed=3", "scale.viewpoint_sets=2")
-    config = configured(
-        [kept], ["ckpt=best.ckpt", "seed=0", "scale.viewpoint_sets=1", "evaluation.cell_widths=[4]"]
-    )
-    assert config.evaluation.seed == 0  # the default, although the run had another
+    kept = checkpoint(["scale=test"], "seed=3", "aggregation_factor=0.5", "scale.viewpoint_sets=2")
+    changes = ["aggregation_factor=0.9", "scale.viewpoint_sets=1", "evaluation.cell_widths=[4]"]
+    config = configured([kept], ["ckpt=best.ckpt", *changes])
+    assert config.seed == 3
+    assert config.mapping.registration.aggregation_factor == 0.9  # the default, although the run had another
     assert config.evaluation.viewpoint_sets == 1
     assert config.evaluation.cell_widths == [4]
 

@@ -9,7 +9,8 @@ import pytest
 from imagination.errors import UserError
 from imagination.evaluation import runs
 from imagination.evaluation.metrics import mean_iou, pooled_iou
-from imagination.evaluation.protocol import Key, Report, Subject
+from imagination.evaluation.outcome import Key, Report
+from imagination.evaluation.protocol import Subject
 from imagination.evaluation.runs import Looks, Run, views_of
 from imagination.views.viewpoints import Viewpoints
 from tests.evaluation.subjects import make_protocol, make_subject

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from imagination.evaluation import figures, tables
-from imagination.evaluation.protocol import Example, Key, Report
+from imagination.evaluation.outcome import Example, Key, Report
 from imagination.evaluation.report import Provenance, write
 from imagination.evaluation.runs import Run
 from imagination.evaluation.selection import Choice
@@ -21,7 +21,9 @@ COLUMNS = (
     "approach,category,cell_width,runs,iou_pooled,iou_mean,iou_ci_low,iou_ci_high,"
     "correct_pixels,false_pixels,truth_pixels"
 )
-ORIGIN = Provenance("python -m imagination.evaluate ckpt=x", "a processor, 2 cores", 12.3, "128 x 128 pixels")
+ORIGIN = Provenance(
+    "python -m imagination.evaluate ckpt=x", 3, "a processor, 2 cores", 12.3, "128 x 128 pixels"
+)
 
 
 @pytest.fixture
@@ -103,7 +105,8 @@ def test_the_markdown_tells_how_it_was_made(tmp_path: Path, report: Report) -> N
     write(tmp_path, report, make_protocol(), 0.1, ORIGIN)
     text = (tmp_path / "mapping.md").read_text()
     for said in (
-        "`iou_pooled` divides", "chair: 1 of 4", "Seed 0", "a processor, 2 cores", "12 s of wall time", "128 x 128",
+        "`iou_pooled` divides", "chair: 1 of 4", "Seed of the run 3, of viewpoints, headings and bootstrap 0",
+        "a processor, 2 cores", "12 s of wall time", "128 x 128",
         "`python -m imagination.evaluate ckpt=x`", "closed by 0.3 m", "MovingAverage(aggregation_factor=0.9)",
         "| imagination - seen_dilated |",
     ):  # fmt: skip

@@ -53,9 +53,9 @@ def test_robot_touches_nothing_and_no_room_is_wasted(turn: float) -> None:
     assert free.mask.sum() * RESOLUTION**2 > 9
 
 
-def test_is_one_part_joined_through_sides() -> None:
-    _, parts = label(tiny_room(turn=0.6).free_space.mask)
-    assert parts == 1
+def test_cells_that_meet_at_a_corner_are_not_joined() -> None:
+    free = free_space(floor((0, 0, 1, 1), (1, 1, 2.5, 2.5)).build(), 0.0, 0.1)
+    assert free.mask.sum() == 30 * 30 and places(free).min() > 1
 
 
 def test_bare_floor_is_free_up_to_its_edge() -> None:

@@ -48,7 +48,7 @@ def test_openings_lie_within_the_walls_of_both_rooms(plan: Plan) -> None:
     assert sum(opening.kind == "entrance" for opening in plan.openings) <= 1
     for opening in plan.openings:
         width = opening.end - opening.start
-        assert width >= {"door": 0.85, "passage": 0.85, "window": 0.5, "entrance": 0.95}[opening.kind] - 1e-9
+        assert width >= {"door": 0.85, "passage": 1.0, "window": 0.5, "entrance": 0.95}[opening.kind] - 1e-9
         assert 0 <= opening.low < opening.high < plan.ceiling
         for number in set(opening.rooms) - {OUTSIDE}:
             room = plan.rooms[number]

@@ -13,6 +13,7 @@ def _chest(
 ) -> None:
     """Drawers under the top."""
     desk.add(box(width, depth, height - 0.04), finish, (x, 0, 0.04))
+    desk.add(box(width - 0.02, depth - 0.06, 0.04), knob, (x, 0, 0))
     step = (height - 0.07) / 3
     for number in range(3):
         low = 0.06 + number * step

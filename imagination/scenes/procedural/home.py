@@ -133,8 +133,8 @@ def _lighting(rng: np.random.Generator) -> Lighting:
     ]
     directions.append([0.15, -0.1, 1.0])
     unit = np.array(directions) / np.linalg.norm(directions, axis=1, keepdims=True)
-    strengths = rng.uniform([0.30, 0.18, 0.15], [0.50, 0.36, 0.3])
-    ambient = rng.uniform(0.50, 0.68) * tint
+    strengths = rng.uniform([0.28, 0.16, 0.08], [0.46, 0.32, 0.18])
+    ambient = rng.uniform(0.45, 0.60) * tint
     red, green, blue = ambient.tolist()
     return Lighting(
         (red, green, blue), unit.astype(np.float32), (strengths[:, None] * tint).astype(np.float32)

@@ -90,8 +90,9 @@ def _door(rng: Rng, number: int, wall: Shared, kinds: set[RoomKind]) -> Opening:
     start, end = wall.start + WALL, wall.end - WALL
     kind: OpeningKind = "door"
     width, high = rng.uniform(0.85, 1.0), 2.05
-    if kinds <= {"living", "dining", "kitchen", "corridor"} and rng.random() < 0.6:
-        kind, width, high = "passage", min(rng.uniform(1.1, 2.2), (end - start) * 0.8), rng.uniform(2.05, 2.3)
+    wide = min(rng.uniform(1.1, 2.2), (end - start) * 0.8)
+    if kinds <= {"living", "dining", "kitchen", "corridor"} and wide > 1.0 and rng.random() < 0.6:
+        kind, width, high = "passage", wide, rng.uniform(2.05, 2.3)
     spare = end - start - width
     near = min(spare, rng.uniform(0.1, 0.3)) if rng.random() < 0.7 else spare * rng.random()
     low = start + (near if rng.random() < 0.5 else spare - near)
