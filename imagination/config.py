@@ -35,6 +35,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.batch_size": (1, 100_000, "views"),
     "scale.rounds": (1, 10**9, "rounds"),
     "scale.learning_rate": (0.0, 10.0, ""),
+    "scale.final_learning_rate": (0.0, 10.0, ""),
     "scale.unit_width": (1, 1024, "channels"),
     "scale.viewpoint_sets": (1, 10_000, ""),
     "scale.orientations": (1, 1000, ""),
@@ -190,8 +191,8 @@ def _tops(prefixes: set[str]) -> set[str]:
 
 
 def _check_number(key: str, value: Any, low: float, high: float, unit: str) -> None:
-    kinds: tuple[type, ...] = (int,) if isinstance(low, int) else (int, float)
-    if isinstance(value, bool) or not isinstance(value, kinds):
-        kind = "whole number" if isinstance(low, int) else "number"
+    whole = isinstance(low, int)
+    if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
+        kind = "whole number" if whole else "number"
         raise UserError(f"{key}: got {value!r}, expected a {kind} in [{low}, {high}] {unit}".rstrip())
     check_range(key, value, low, high, unit)

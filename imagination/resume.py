@@ -56,8 +56,10 @@ def opened(config: DictConfig) -> Iterator[Run]:
             if not _pressed(stop):
                 raise
             last = folder / runs.LAST
-            again = f"ckpt_path={last}" if last.is_file() else "the same arguments: no round was finished"
-            log.warning("Interrupted. Go on with: python -m imagination.train %s", again)
+            if last.is_file():
+                log.warning("Interrupted. Go on with: python -m imagination.train ckpt_path=%s", last)
+            else:
+                log.warning("Interrupted before a round was finished; start again with the same arguments")
             raise SystemExit(130) from stop
 
 

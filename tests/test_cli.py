@@ -102,3 +102,18 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     text = (tmp_path / "told").read_text()
     assert "Traceback" not in text
     assert "Interrupted. Go on with: python -m imagination.train ckpt_path=outputs/chair_unet/" in text
+
+
+@pytest.mark.slow
+def test_a_wheel_runs_elsewhere(tmp_path: Path) -> None:
+    """The package with its conf, away from the checkout: outputs go under the current folder."""
+    site, here = tmp_path / "site", tmp_path / "here"
+    here.mkdir()
+    install = "-m pip install --quiet --no-deps --no-build-isolation --no-index --target".split()
+    subprocess.run([sys.executable, *install, str(site), str(ROOT)], check=True, timeout=300)
+    code = "import imagination, sys; sys.exit(not imagination.__file__.startswith(sys.argv[1]))"
+    environment = os.environ | {"PYTHONPATH": str(site)}
+    subprocess.run([sys.executable, "-c", code, str(site)], cwd=here, env=environment, check=True)
+    job = [sys.executable, "-m", "imagination.train", "+experiment=chair_unet", "scale=test"]
+    subprocess.run(job, cwd=here, env=environment, check=True, timeout=300)
+    assert (here / "outputs" / "chair_unet" / "latest" / "tables" / "mapping.csv").is_file()

@@ -26,7 +26,8 @@ def read(path: Path) -> dict:
 @pytest.mark.parametrize("scale", options("scale"))
 @pytest.mark.parametrize("experiment", options("experiment"))
 def test_the_scale_wins(experiment: str, scale: str, callbacks: str) -> None:
-    config = compose("train", [f"+experiment={experiment}", f"scale={scale}", f"callbacks=[{callbacks}]", "paths.run=."])
+    choices = [f"+experiment={experiment}", f"scale={scale}", f"callbacks=[{callbacks}]"]
+    config = compose("train", [*choices, "paths.run=."])
     resolved = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     sizes = read(CONF / "scale" / f"{scale}.yaml")
     assert resolved["scale"] == sizes
@@ -63,8 +64,8 @@ def test_paper_holds_the_appendix() -> None:
     assert list(scale.cell_widths) == [3.0, 2.5, 2.0]
     assert cells_of(scale.ego_extent, scale.resolution) == 261
     assert cells_of(scale.world_extent, scale.resolution) == 2001
-    sides = [kernel_cells(size, scale.resolution) for size in (kernels.imaginable, kernels.neighbourhood, kernels.truth)]
-    assert sides == [50, 31, 30]
+    sizes = kernels.imaginable, kernels.neighbourhood, kernels.truth
+    assert [kernel_cells(size, scale.resolution) for size in sizes] == [50, 31, 30]
     assert config.model.optimizer._target_ == "torch.optim.Adam"
     assert config.aggregation_factor == 0.9
     assert config.callbacks.replay_buffer.aggregation_factor == 0.9

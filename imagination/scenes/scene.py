@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, UInt8
 
 from imagination.geometry.grid import Grid
+from imagination.geometry.pose import Pose
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -31,8 +32,7 @@ class OrientedBox:
         """World x, y of the four corners seen from above, counter-clockwise, metres."""
         half = np.array(self.size[:2]) / 2
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
-        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
-        return corners @ np.array([[cos, sin], [-sin, cos]]) + np.array(self.centre[:2])
+        return Pose(self.centre[0], self.centre[1], self.yaw).to_world(corners)
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,8 @@ class Scene:
         """Lookup table from instance id to category index (position in `names` + 1; 0 for none)."""
         table = np.zeros(1 + max((thing.instance for thing in self.objects), default=0), np.uint8)
         for thing in self.objects:
-            if thing.category in names:
-                table[thing.instance] = list(names).index(thing.category) + 1
+            if thing.category is not None and thing.category in names:
+                table[thing.instance] = names.index(thing.category) + 1
         return table
 
 

@@ -1,0 +1,66 @@
+"""What an evaluation finds: counts of every run, what was chosen on validation homes, and examples to draw."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from imagination.evaluation.runs import Run
+from imagination.evaluation.selection import Choice
+from imagination.geometry.grid import Grid
+
+Choices = dict[tuple[str, str], Choice]
+"""What was chosen for each approach and category."""
+
+
+class Key(NamedTuple):
+    """A row of the table."""
+
+    approach: str
+    category: str
+    cell_width: float
+
+
+Counts = dict[Key, list[Int64[np.ndarray, "3"]]]
+"""Correct, false and truth pixels of each run, in the order of runs."""
+
+
+class Example(NamedTuple):
+    """Maps of one run, for figures.
+
+    Attributes:
+        run, category: which.
+        grid: of the maps.
+        occupied, truth: M_occu and M_gt.
+        predicted: the map of each approach.
+        poses: of the views.
+    """
+
+    run: Run
+    category: str
+    grid: Grid
+    occupied: Bool[np.ndarray, "h w"]
+    truth: Bool[np.ndarray, "h w"]
+    predicted: dict[str, Bool[np.ndarray, "h w"]]
+    poses: Float64[np.ndarray, "n 3"]
+
+
+class Report(NamedTuple):
+    """What was measured.
+
+    Attributes:
+        counts: correct, false and truth pixels of every run of the homes that contain the category.
+        shuffled: the same with the views of each run registered in a random order.
+        choices: threshold and kernel of each approach and category.
+        homes, left_out: for each category, the homes that contain it and those that do not.
+        examples: maps of the first viewpoint set of each category's first home, one for each cell width.
+        snap_distances: how far each viewpoint of each run was moved to free space, metres.
+    """
+
+    counts: dict[Key, Int64[np.ndarray, "homes sets 3"]]
+    shuffled: dict[Key, Int64[np.ndarray, "homes sets 3"]]
+    choices: Choices
+    homes: dict[str, list[str]]
+    left_out: dict[str, list[str]]
+    examples: list[Example]
+    snap_distances: list[Float64[np.ndarray, " n"]]
