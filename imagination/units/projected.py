@@ -1,18 +1,18 @@
 """The variant that carries image features to the egocentric grid through depth."""
 
 from collections.abc import Callable, Sequence
+from math import inf
 
-import numpy as np
 import torch
-from jaxtyping import Float, Float16, Int64, UInt8
+from jaxtyping import Float, Float16, UInt8
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.units.backbones import Backbone, Convolution
 from imagination.units.encoders import TimmEncoder
+from imagination.units.returns import Returns
 from imagination.units.unit import Unit, prediction_head
 
 
@@ -65,19 +65,13 @@ class ProjectedUnit(Unit):
 
 
 class Projection(nn.Module):
-    """Means over the egocentric grid's cells of what an image shows in them (docs/conventions.md).
-
-    A pixel's return is its ray, scaled by its depth, in the robot's frame; cells are those of `EgoGrid.to_cells`.
-    """
-
-    rays: Tensor
+    """Means over the egocentric grid's cells of what an image shows in them."""
 
     def __init__(self, camera: Camera, ego: EgoGrid, max_height: float) -> None:
         super().__init__()
         self.ego = ego
         self.max_height = max_height
-        self.mount_height = camera.mount_height
-        self.register_buffer("rays", torch.from_numpy(pixel_rays(camera)), persistent=False)
+        self.returns = Returns(camera, ego)
 
     def forward(
         self, image: Float[Tensor, "b c h w"], depth: Float16[Tensor, "b 1 h w"]
@@ -91,15 +85,8 @@ class Projection(nn.Module):
         Raises:
             UserError: if the images are not of the camera's size.
         """
-        if depth.shape[-2:] != self.rays.shape[-2:]:
-            got, expected = tuple(depth.shape[-2:]), tuple(self.rays.shape[-2:])
-            raise UserError(
-                f"depth: got images of {got} pixels, expected the camera's {expected} (see conf, camera)"
-            )
         batch, channels = image.shape[:2]
-        forward, left, up = (depth.float() * self.rays).unbind(1)  # in single precision under autocast too
-        height = up + self.mount_height
-        cells = self._cells(forward, left, (depth[:, 0] > 0) & (height <= self.max_height))
+        cells, height = self.returns(depth, -inf, self.max_height)
         values = torch.cat([image.float(), height[:, None], torch.ones_like(height)[:, None]], dim=1)
         rows = values.permute(0, 2, 3, 1).reshape(-1, channels + 2)
         # one row a cell, and a last one for the returns that lie in none
@@ -107,20 +94,3 @@ class Projection(nn.Module):
         sums = sums.scatter_add(0, cells.reshape(-1, 1).expand_as(rows), rows)[:-1]
         means = sums[:, :-1] / sums[:, -1:].clamp(min=1)
         return means.view(batch, self.ego.cells, self.ego.cells, channels + 1).permute(0, 3, 1, 2)
-
-    def _cells(self, forward: Tensor, left: Tensor, valid: Tensor) -> Int64[Tensor, "b h w"]:
-        """Index of each return's cell among those of the whole batch; one past the last for those in none."""
-        size = self.ego.cells
-        row = torch.floor(size - 0.5 - forward / self.ego.resolution).long()
-        column = torch.floor(size // 2 + 0.5 - left / self.ego.resolution).long()
-        inside = valid & (row >= 0) & (row < size) & (column >= 0) & (column < size)
-        first = torch.arange(len(forward), device=forward.device).view(-1, 1, 1) * size**2
-        return torch.where(inside, first + row * size + column, len(forward) * size**2)
-
-
-def pixel_rays(camera: Camera) -> Float[np.ndarray, "3 h w"]:
-    """What one metre of depth is in the robot's frame (forward, left, up from the camera) at each pixel's centre."""
-    centre_u, centre_v = camera.principal_point
-    u, v = np.meshgrid(np.arange(camera.width) + 0.5 - centre_u, np.arange(camera.height) + 0.5 - centre_v)
-    optical = np.stack([u / camera.focal_length, v / camera.focal_length, np.ones_like(u)])
-    return np.tensordot(camera.to_robot()[:3, :3], optical, axes=1).astype(np.float32)

@@ -8,8 +8,12 @@ import torch
 from jaxtyping import Float, Float16, UInt8
 from torch import Tensor, nn
 
+from imagination.errors import UserError
+from imagination.geometry.camera import Camera
+from imagination.geometry.grid import EgoGrid
 from imagination.units.backbones import Backbone
 from imagination.units.encoders import TimmEncoder
+from imagination.units.returns import Returns
 
 PRIOR = 0.05
 """What an untrained unit answers about every cell: objects are rare, so training need not first learn that."""
@@ -46,18 +50,35 @@ class Unit(nn.Module, ABC):
 class ImaginationUnit(Unit):
     """Encoder for the image, backbone for the egocentric depth projection; the image's features join on its way down.
 
+    The paper's projection is `occupied` and `seen`. Ours has a layer for each band of heights beside them: on two cores'
+    time the place of a chair cannot be told from that of a washbasin by occupancy alone, and no bands
+    (`model.unit.heights=[]`) gives the paper's.
+
     Args:
         encoder: images to features.
         backbone: makes a backbone, given `in_channels` and `image_channels`.
+        camera: that takes the images.
+        ego: grid of the maps.
+        heights: bounds of the bands above the floor, ascending, metres; fewer than two give no band.
         categories: what to imagine, one map each; the paper has one unit for each category.
+
+    Raises:
+        UserError: if the heights do not ascend.
     """
 
     def __init__(
-        self, encoder: TimmEncoder, backbone: Callable[..., Backbone], categories: Sequence[str]
+        self,
+        encoder: TimmEncoder,
+        backbone: Callable[..., Backbone],
+        camera: Camera,
+        ego: EgoGrid,
+        heights: Sequence[float],
+        categories: Sequence[str],
     ) -> None:
         super().__init__(categories)
         self.encoder = encoder
-        self.backbone = backbone(in_channels=2, image_channels=encoder.channels)
+        self.bands = HeightBands(camera, ego, heights)
+        self.backbone = backbone(in_channels=2 + self.bands.count, image_channels=encoder.channels)
         self.head = prediction_head(self.backbone.width, len(categories))
         self.to(memory_format=torch.channels_last)
 
@@ -68,10 +89,35 @@ class ImaginationUnit(Unit):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """Logits of V_object; see `Unit`. This unit knows the depth only through `occupied` and `seen`."""
-        maps = torch.cat([occupied, seen], dim=1).to(self.head.weight.dtype)
+        """Logits of V_object; see `Unit`."""
+        maps = torch.cat([occupied.float(), seen.float(), self.bands(depth)], dim=1)
         logits: Tensor = self.head(self.backbone(maps, self.encoder(rgb)))
         return logits
+
+
+class HeightBands(nn.Module):
+    """The egocentric depth projection by height: which cells have a return in each band; see `ImaginationUnit`."""
+
+    def __init__(self, camera: Camera, ego: EgoGrid, heights: Sequence[float]) -> None:
+        super().__init__()
+        if list(heights) != sorted(set(heights)):
+            raise UserError(f"model.unit.heights: got {list(heights)}, expected ascending metres, each once")
+        self.heights = list(heights)
+        self.count = max(len(heights) - 1, 0)
+        self.ego = ego
+        self.returns = Returns(camera, ego)
+
+    def forward(self, depth: Float16[Tensor, "b 1 h w"]) -> Float[Tensor, "b n v v"]:
+        """1 where a return lies between two successive heights, the upper one included, else 0."""
+        size, count = self.ego.cells, self.count
+        if not count:
+            return depth.new_zeros(len(depth), 0, size, size, dtype=torch.float32)
+        cells, height = self.returns(depth, self.heights[0], self.heights[-1])
+        band = torch.bucketize(height, height.new_tensor(self.heights[1:-1]))
+        marked = height.new_zeros((len(depth) * size**2 + 1) * count)  # the last row is of pixels without a return
+        marked[(cells * count + band).reshape(-1)] = 1
+        maps: Tensor = marked.view(-1, count)[:-1].view(-1, size, size, count).permute(0, 3, 1, 2)
+        return maps
 
 
 def prediction_head(width: int, categories: int) -> nn.Conv2d:

@@ -60,7 +60,7 @@ def test_unit_fulfils_its_contract(variant: str, backbone: str, encoder: str) ->
 @pytest.mark.parametrize("cells", [9, 33, 87, 261])
 @pytest.mark.parametrize("backbone", BACKBONES)
 def test_any_grid_will_do(backbone: str, cells: int) -> None:
-    unit = build("+model=unit", f"model/backbone={backbone}").eval()
+    unit = build("+model=unit", f"model/backbone={backbone}", f"scale.ego_extent={0.12 * cells}").eval()
     batch = batch_for(cells=cells, views=1)
     with torch.no_grad():
         assert unit(*inputs(batch)).shape == (1, 1, cells, cells)

@@ -30,8 +30,11 @@ def training(kind: type = ImaginationUnit, **options: float) -> UnitTraining:
         "backbone": partial(UNet, width=4),
         "categories": ["chair"],
     }
+    parts |= {"camera": CAMERA, "ego": EGO}
     if kind is ProjectedUnit:
-        parts |= {"camera": CAMERA, "ego": EGO, "max_height": 1.5, "width": 4}
+        parts |= {"max_height": 1.5, "width": 4}
+    else:
+        parts |= {"heights": [0.2, 0.5, 1.5]}
     schedule = partial(torch.optim.lr_scheduler.StepLR, step_size=1, gamma=0.1)
     return UnitTraining(kind(**parts), EGO, 0.36, partial(torch.optim.Adam, lr=0.001), schedule, **options)
 
