@@ -49,7 +49,9 @@ class CategoryTable:
     @classmethod
     def from_config(cls, config: Mapping[str, Mapping[str, object]]) -> "CategoryTable":
         """Build the table from conf/categories: {name: {colour: [r, g, b], members: {source: [label]}}}."""
-        return cls([Category(name, tuple(row["colour"]), row.get("members", {})) for name, row in config.items()])  # type: ignore[arg-type]
+        return cls(
+            [Category(name, tuple(row["colour"]), row.get("members", {})) for name, row in config.items()]
+        )  # type: ignore[arg-type]
 
     def __iter__(self) -> Iterator[Category]:
         return iter(self.rows)

@@ -37,7 +37,9 @@ class ConfigInCheckpoint(Callback):
         values = plain_values(config)
         self.description = {"choices": values.pop("choices"), "values": values}
 
-    def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
+    def on_save_checkpoint(
+        self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
         checkpoint[KEY] = self.description
 
 
@@ -72,7 +74,9 @@ def read_state(path: Path, map_location: Any = "cpu") -> dict[str, Any]:
             "(each run keeps checkpoints/last.ckpt and checkpoints/best.ckpt)"
         ) from error
     if not isinstance(state, dict) or KEY not in state or "state_dict" not in state:
-        raise UserError(f"checkpoint {path}: was not written by imagination.train; expected a file of checkpoints/")
+        raise UserError(
+            f"checkpoint {path}: was not written by imagination.train; expected a file of checkpoints/"
+        )
     return state
 
 
@@ -107,10 +111,14 @@ class Checkpoint:
         choices, values = self.state[KEY]["choices"], self.state[KEY]["values"]
         for text in [*choices, *_texts(values)]:
             if "${" in text or "_target_" in text:
-                raise UserError(f"checkpoint {self.path}: holds {text!r}; expected plain values, do not use this file")
+                raise UserError(
+                    f"checkpoint {self.path}: holds {text!r}; expected plain values, do not use this file"
+                )
         for text in choices:
             if not GROUP_CHOICE.fullmatch(text):
-                raise UserError(f"checkpoint {self.path}: holds {text!r}, expected the choice of a group's option")
+                raise UserError(
+                    f"checkpoint {self.path}: holds {text!r}, expected the choice of a group's option"
+                )
         composed = compose("train", [*choices, "paths.run=."])
         merged: dict[str, Any] = _with_values(OmegaConf.to_container(composed, resolve=True), values)
         return OmegaConf.create(merged)
@@ -154,7 +162,9 @@ def plain_values(config: DictConfig) -> dict[str, Any]:
 
 def _plain(node: Any) -> Any:
     if isinstance(node, dict):
-        return {key: _plain(value) for key, value in node.items() if not key.startswith("_") and key != "paths"}
+        return {
+            key: _plain(value) for key, value in node.items() if not key.startswith("_") and key != "paths"
+        }
     return [_plain(value) for value in node] if isinstance(node, list) else node
 
 

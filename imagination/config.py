@@ -80,7 +80,9 @@ def command(config_name: str) -> Callable[[Task], Callable[[], None]]:
                     print(f"{plugin.name} ({plugin.origin}) is left out: {plugin.problem}", file=sys.stderr)
             _register()
             with mistakes_told():
-                hydra.main(version_base="1.3", config_path=str(plugins.core_conf()), config_name=config_name)(checked)()
+                hydra.main(version_base="1.3", config_path=str(plugins.core_conf()), config_name=config_name)(
+                    checked
+                )()
 
         return main
 
@@ -154,7 +156,9 @@ def validate(config: DictConfig) -> None:
     for extent in (config.scale.ego_extent, config.scale.world_extent):
         cells_of(extent, config.scale.resolution)
     if not config.unit_categories:
-        raise UserError("unit_categories: got none, expected at least one of: " + ", ".join(config.categories))
+        raise UserError(
+            "unit_categories: got none, expected at least one of: " + ", ".join(config.categories)
+        )
     for name in config.unit_categories:
         check_choice("category", name, config.categories)
     if config.kernels.imaginable < config.kernels.neighbourhood:
@@ -176,9 +180,15 @@ def check_targets(config: DictConfig) -> None:
         package = target.partition(".")[0]
         try:
             # the module where it is defined counts: a path such as imagination.runs.os.remove leads elsewhere
-            home = str(getattr(hydra.utils.get_object(target), "__module__", "")) if package in _tops(allowed) else ""
+            home = (
+                str(getattr(hydra.utils.get_object(target), "__module__", ""))
+                if package in _tops(allowed)
+                else ""
+            )
         except (ImportError, AttributeError) as error:
-            raise UserError(f"_target_: got {target!r}, which cannot be found; install its plugin again") from error
+            raise UserError(
+                f"_target_: got {target!r}, which cannot be found; install its plugin again"
+            ) from error
         if not any(home == prefix or home.startswith(f"{prefix}.") for prefix in allowed):
             raise UserError(
                 f"_target_: got {target!r}, expected one defined in {', '.join(sorted(allowed))}; "

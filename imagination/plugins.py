@@ -170,7 +170,9 @@ def main(arguments: list[str]) -> int:
         verdict = f"left out: {plugin.problem}" if plugin.problem else "adds " + ", ".join(plugin.options)
         print(f"{plugin.name}  ({plugin.origin})\n    {verdict}")
     if not found:
-        print(f"No plugins: neither a folder {Path.cwd() / 'plugins'}/NAME nor a distribution in the group {GROUP}.")
+        print(
+            f"No plugins: neither a folder {Path.cwd() / 'plugins'}/NAME nor a distribution in the group {GROUP}."
+        )
     return int(deep and any(plugin.problem for plugin in found))
 
 

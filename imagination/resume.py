@@ -120,7 +120,9 @@ def _go_on(folder: Path, config: DictConfig) -> Run:
         )
     saved = _read(folder / runs.COMPOSED)
     if "experiment" in HydraConfig.get().runtime.choices and config.name != saved.name:
-        raise UserError(f"resume: got the experiment {config.name!r}, but the run in {folder} is of {saved.name!r}")
+        raise UserError(
+            f"resume: got the experiment {config.name!r}, but the run in {folder} is of {saved.name!r}"
+        )
     changes = [text.lstrip("+") for text in overrides if text.lstrip("+").startswith(MAY_CHANGE)]
     for key in (text.partition("=")[0] for text in changes):
         OmegaConf.update(saved, key, OmegaConf.select(config, key))

@@ -75,7 +75,9 @@ def find_latest(outputs: Path, name: str | None) -> Path:
     folders = [link.resolve() for link in links if (link / COMPOSED).is_file()]
     if not folders:
         wanted = f"the experiment {name!r}" if name else "any experiment"
-        raise UserError(f"resume=latest: found no run of {wanted} in {outputs.resolve()}; start one without resume")
+        raise UserError(
+            f"resume=latest: found no run of {wanted} in {outputs.resolve()}; start one without resume"
+        )
     return within(max(folders, key=lambda folder: (folder.name, folder.parent.name)))
 
 
@@ -96,7 +98,9 @@ def locked(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise UserError(f"run {folder}: another process is working on it; wait for it or stop it") from error
+            raise UserError(
+                f"run {folder}: another process is working on it; wait for it or stop it"
+            ) from error
         yield
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import resource
-import sys
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,8 +11,9 @@ from omegaconf import DictConfig
 
 from imagination import runs
 from imagination.config import command
-from imagination.progress import shares, stage
+from imagination.progress import stage
 from imagination.resume import Run, opened
+from imagination.summary import egocentric, record_hyperparameters, summary
 
 if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does without
     from lightning import LightningModule, Trainer
@@ -29,11 +28,11 @@ def main(config: DictConfig) -> None:
     """The command."""
     with opened(config) as run:
         log.info("Run folder: %s\nWatch it: tensorboard --logdir %s", run.folder, run.folder.parent)
-        train(run)
-        log.info("%s", summary(run))
+        trainer = train(run)
+        log.info("%s\n%s", egocentric(run, trainer), summary(run, best(run)))
 
 
-def train(run: Run) -> None:
+def train(run: Run) -> Trainer:
     """Build everything that the config names, fit, evaluate on homes that training never saw."""
     model, data, trainer = build(run.config)
     try:
@@ -48,6 +47,7 @@ def train(run: Run) -> None:
     finally:
         data.close()
     record_hyperparameters(trainer, run.config)
+    return trainer
 
 
 def build(config: DictConfig) -> tuple[LightningModule, SceneData, Trainer]:
@@ -99,41 +99,6 @@ def best(run: Run) -> Path | None:
     """The checkpoint to evaluate: the best one on validation homes; None, the weights in memory, if none was kept."""
     path = run.folder / runs.BEST
     return path if path.is_file() else None
-
-
-def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
-    """Show the run's settings beside its final figures in TensorBoard."""
-    from imagination.checkpoints import plain_values
-
-    values = plain_values(config)
-    nodes = ("name", "seed", "unit_categories", "scale", "kernels", "aggregation_factor", "model", "mapping")
-    figures = {name: float(value) for name, value in trainer.callback_metrics.items()}
-    if trainer.logger is not None:
-        trainer.logger.log_hyperparams({node: values[node] for node in nodes}, figures)
-        trainer.logger.save()
-
-
-def summary(run: Run) -> str:
-    """Where the time went, the memory taken, where everything lies and what to do with it."""
-    seconds = shares.report()
-    parts = ", ".join(
-        f"{name} {value:.0f} s ({value / seconds['total']:.0%})" for name, value in seconds.items()
-    )
-    lines = [f"Time: {parts}", f"Peak memory: at most {peak_memory(run.config.scale.workers):.1f} GB"]
-    lines.append(f"Results: {run.folder}/ (tables/, figures/, checkpoints/, tensorboard/)")
-    kept = best(run) or run.folder / runs.LAST
-    if kept.is_file():
-        lines.append(f"Evaluate again: python -m imagination.evaluate ckpt={kept}")
-    return "\n".join(lines)
-
-
-def peak_memory(workers: int) -> float:
-    """Upper bound of the memory in use at once, GB: this process's peak and, for each worker, the largest one's."""
-    unit = 1e9 if sys.platform == "darwin" else 1e6  # bytes there, kilobytes on Linux
-    own, largest = (
-        resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
-    return (own + workers * largest) / unit
 
 
 if __name__ == "__main__":

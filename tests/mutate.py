@@ -27,13 +27,26 @@ def survives(mutation: Mutation) -> bool:
         target = copy / "imagination" / mutation.file
         text = target.read_text()
         if text.count(mutation.old) != 1:
-            raise ValueError(f"{mutation.what}: {mutation.old!r} occurs {text.count(mutation.old)} times in {mutation.file}")
+            raise ValueError(
+                f"{mutation.what}: {mutation.old!r} occurs {text.count(mutation.old)} times in {mutation.file}"
+            )
         target.write_text(text.replace(mutation.old, mutation.new))
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *mutation.tests.split()]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-x",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            *mutation.tests.split(),
+        ]
         environment = os.environ | {"PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
         run = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=600)
         if run.returncode not in (0, 1):  # neither passed nor failed: the tests could not run
-            raise RuntimeError(f"{mutation.what}: pytest ended with {run.returncode}\n{run.stdout}{run.stderr}")
+            raise RuntimeError(
+                f"{mutation.what}: pytest ended with {run.returncode}\n{run.stdout}{run.stderr}"
+            )
         return run.returncode == 0
 
 

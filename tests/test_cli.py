@@ -57,7 +57,9 @@ def test_a_whole_run(command: Command, tmp_path: Path) -> None:
         (["scale=test", "model/encoder=timm"], ["Missing mandatory value"]),
     ],
 )
-def test_mistakes_get_one_message(command: Command, tmp_path: Path, arguments: list[str], told: list[str]) -> None:
+def test_mistakes_get_one_message(
+    command: Command, tmp_path: Path, arguments: list[str], told: list[str]
+) -> None:
     done = command("train", *arguments)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
@@ -74,7 +76,9 @@ def test_a_mistake_found_later_is_told_as_shortly(command: Command, tmp_path: Pa
 
 
 def test_a_sweep_has_a_folder_of_its_own(command: Command, tmp_path: Path) -> None:
-    done = command("train", "-m", "scale=test", "name=swept", "trainer.fast_dev_run=true", "seed=1,2", timeout=300)
+    done = command(
+        "train", "-m", "scale=test", "name=swept", "trainer.fast_dev_run=true", "seed=1,2", timeout=300
+    )
     assert done.returncode == 0, done.stderr
     members = list((tmp_path / "outputs" / "swept").glob("multirun_*/*/config.yaml"))
     assert sorted(path.parent.name for path in members) == ["0", "1"]

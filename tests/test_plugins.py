@@ -82,7 +82,8 @@ def test_an_installed_distribution_is_found_without_importing_it(
 
 
 @pytest.mark.parametrize(
-    ("value", "told"), [("no_such_package.conf", "no package 'no_such_package'"), ("hydra.nothing", "no config found")]
+    ("value", "told"),
+    [("no_such_package.conf", "no package 'no_such_package'"), ("hydra.nothing", "no config found")],
 )
 def test_a_broken_distribution_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: str, told: str
@@ -100,14 +101,20 @@ def test_listing(command: Command, example_plugin: Path) -> None:
     make(example_plugin.parent / "broken", conf__model__mine="_target_: no_such_package.Thing")
     done = command("plugins")
     assert done.returncode == 0
-    assert "adds callbacks/counting, data/scenes/box_rooms, experiment/blind_seats, model/blind" in done.stdout
+    assert (
+        "adds callbacks/counting, data/scenes/box_rooms, experiment/blind_seats, model/blind" in done.stdout
+    )
     done = command("plugins", "check=true")
     assert done.returncode == 1
     assert "no_such_package" in done.stdout
 
 
 def test_a_broken_plugin_stops_nobody_unless_it_is_used(command: Command, tmp_path: Path) -> None:
-    make(tmp_path / "plugins" / "broken", conf__model__mine="_target_: no_such_package.Thing", conf__scale__desk="a: 1")
+    make(
+        tmp_path / "plugins" / "broken",
+        conf__model__mine="_target_: no_such_package.Thing",
+        conf__scale__desk="a: 1",
+    )
     done = command("train", "+experiment=chair_unet", "scale=test", "--cfg", "job")
     assert done.returncode == 0
     assert "broken (folder" in done.stderr and "'scale/desk' exists already" in done.stderr
@@ -116,7 +123,9 @@ def test_a_broken_plugin_stops_nobody_unless_it_is_used(command: Command, tmp_pa
     assert "is left out" in done.stderr and "Could not find 'model/mine'" in done.stderr
 
 
-def test_the_example_adds_scenes_a_unit_and_a_callback(command: Command, example_plugin: Path, tmp_path: Path) -> None:
+def test_the_example_adds_scenes_a_unit_and_a_callback(
+    command: Command, example_plugin: Path, tmp_path: Path
+) -> None:
     done = command("train", "+experiment=blind_seats", "scale=test")
     assert done.returncode == 0, done.stderr
     run = tmp_path / "outputs" / "blind_seats" / "latest"

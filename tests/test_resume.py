@@ -32,7 +32,9 @@ def checkpoint(path: Path, description: dict[str, Any] | None = None) -> Path:
 
     whole = config("seed=7", "model.module.alpha_max=12.0")
     state = {"state_dict": instantiate(whole.model.module).state_dict()}
-    CheckpointFiles().save_checkpoint({**state, KEY: description or ConfigInCheckpoint(whole).description}, path)
+    CheckpointFiles().save_checkpoint(
+        {**state, KEY: description or ConfigInCheckpoint(whole).description}, path
+    )
     return path
 
 
@@ -40,7 +42,11 @@ def test_a_checkpoint_brings_its_values_and_no_targets(tmp_path: Path) -> None:
     state = read_state(checkpoint(tmp_path / "a.ckpt"))
     assert "_target_" not in str(state[KEY]) and str(Path.cwd()) not in str(state[KEY])
     read = Checkpoint.read(tmp_path / "a.ckpt")
-    assert (read.config.seed, read.config.model.module.alpha_max, read.config.scale.unit_width) == (7, 12.0, 4)
+    assert (read.config.seed, read.config.model.module.alpha_max, read.config.scale.unit_width) == (
+        7,
+        12.0,
+        4,
+    )
     assert read.config.model.unit._target_ == "imagination.units.unit.ImaginationUnit"
     assert read.model().alpha_max == 12.0
     read.require(["chair"], 0.12)
@@ -58,7 +64,9 @@ def test_a_checkpoint_brings_its_values_and_no_targets(tmp_path: Path) -> None:
         ([], {"name": "${oc.env:HOME}"}),
     ],
 )
-def test_a_strangers_checkpoint_names_no_code(tmp_path: Path, choices: list[str], values: dict[str, Any]) -> None:
+def test_a_strangers_checkpoint_names_no_code(
+    tmp_path: Path, choices: list[str], values: dict[str, Any]
+) -> None:
     path = checkpoint(tmp_path / "a.ckpt", {"choices": choices, "values": values})
     with pytest.raises(UserError, match="checkpoint .*holds"):
         Checkpoint.read(path).model()
@@ -91,12 +99,16 @@ def test_a_checkpoint_of_another_model_is_told(tmp_path: Path) -> None:
         Checkpoint.read(path).model()
 
 
-@pytest.mark.parametrize("experiment", sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml")))
+@pytest.mark.parametrize(
+    "experiment", sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
+)
 def test_our_own_targets_are_trusted(experiment: str) -> None:
     check_targets(compose("train", [f"+experiment={experiment}", "paths.run=."]))
 
 
-@pytest.mark.parametrize("target", ["os.system", "imagination.runs.os.remove", "torch.load", "no_such_package.Thing"])
+@pytest.mark.parametrize(
+    "target", ["os.system", "imagination.runs.os.remove", "torch.load", "no_such_package.Thing"]
+)
 def test_other_targets_are_refused(target: str) -> None:
     with pytest.raises(UserError, match="_target_: got "):
         check_targets(OmegaConf.create({"list": [{"_target_": target}]}))
@@ -156,5 +168,7 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(tmp_path: Path, command: Comm
 
 
 def best_score(state: dict[str, Any]) -> float:
-    scores = [entry.get("best_model_score") for entry in state["callbacks"].values() if isinstance(entry, dict)]
+    scores = [
+        entry.get("best_model_score") for entry in state["callbacks"].values() if isinstance(entry, dict)
+    ]
     return max(float(score) for score in scores if score is not None)

@@ -16,8 +16,8 @@ from imagination.views.collector import Collector, Stream, Views
 class ReplayBufferCallback(Callback):
     """One epoch is one round: collect `update_interval` steps, then train on `update_batches` batches from the buffer.
 
-    Collecting runs one round ahead of training in the workers. Which views and batches a round gets depends on the seed and
-    the round alone: the epoch in a checkpoint is the collector's position, and nothing else has to be saved.
+    Collecting runs one round ahead of training in the workers. Which views and batches a round gets depends on the
+    seed and the round alone: the epoch in a checkpoint is the collector's position, and nothing else has to be saved.
 
     Args:
         size: views that the buffer keeps.
@@ -28,10 +28,17 @@ class ReplayBufferCallback(Callback):
     """
 
     def __init__(
-        self, size: int, update_interval: int, update_batches: int, aggregation_factor: float, prefill_steps: int
+        self,
+        size: int,
+        update_interval: int,
+        update_batches: int,
+        aggregation_factor: float,
+        prefill_steps: int,
     ) -> None:
         self.buffer = ReplayBuffer(size, aggregation_factor)
-        self.update_interval = int(check_range("update_interval", update_interval, 1, 10_000, "collection steps"))
+        self.update_interval = int(
+            check_range("update_interval", update_interval, 1, 10_000, "collection steps")
+        )
         self.update_batches = int(check_range("update_batches", update_batches, 1, 100_000, "batches"))
         if prefill_steps < 0 or prefill_steps % self.update_interval:
             raise UserError(
@@ -54,7 +61,10 @@ class ReplayBufferCallback(Callback):
             self._start(collector, newest + 1)  # renders while this round trains
         collected = (newest + 1) * collector.views_per_collection
         pl_module.log("data/collected_views", float(collected))
-        pl_module.log("data/draws_per_view", self.update_batches * data.batch_size * (trainer.current_epoch + 1) / collected)
+        pl_module.log(
+            "data/draws_per_view",
+            self.update_batches * data.batch_size * (trainer.current_epoch + 1) / collected,
+        )
 
     def _fill(self, collector: Collector, newest: int, ahead: int) -> None:
         """Insert every collection up to `newest` that still has a place in the buffer."""
@@ -73,7 +83,7 @@ class ReplayBufferCallback(Callback):
 
 
 class _Rounds:
-    """What training iterates over: the batches of the current round, drawn in the main process when they are asked for."""
+    """What training iterates over: the batches of the current round, drawn in the main process when asked for."""
 
     def __init__(self, callback: ReplayBufferCallback, data: SceneData, trainer: Trainer) -> None:
         self.callback, self.data, self.trainer = callback, data, trainer

@@ -20,8 +20,8 @@ from imagination.views.view import Observer, plain
 class SceneData(LightningDataModule):
     """Views of a scene source's homes, as batches.
 
-    Training batches come from the replay-buffer callback, which puts them into `rounds`; those of validation and test are
-    the same fixed views in each run, whatever its seed.
+    Training batches come from the replay-buffer callback, which puts them into `rounds`; those of validation and test
+    are the same fixed views in each run, whatever its seed.
 
     Args:
         observer: what a view looks like.
@@ -119,7 +119,9 @@ class SceneData(LightningDataModule):
 
     def train_dataloader(self) -> Iterable[Batch]:
         if self.rounds is None:
-            raise UserError("training: got no replay buffer; add callbacks.replay_buffer, which collects the views")
+            raise UserError(
+                "training: got no replay buffer; add callbacks.replay_buffer, which collects the views"
+            )
         return self.rounds
 
     def val_dataloader(self) -> DataLoader[Batch]:
@@ -133,7 +135,9 @@ class SceneData(LightningDataModule):
             self._held_out[split] = self._look_at(split)
         views = self._held_out[split]
         starts = range(0, len(views["pose"]), self.batch_size)
-        batches = [self.assemble({name: v[at : at + self.batch_size] for name, v in views.items()}) for at in starts]
+        batches = [
+            self.assemble({name: v[at : at + self.batch_size] for name, v in views.items()}) for at in starts
+        ]
         return DataLoader(batches, batch_size=None)  # type: ignore[arg-type]  # a list is a map-style data set
 
     def _look_at(self, split: Split) -> Views:
@@ -156,6 +160,11 @@ def count_truth(observer: Observer, scene: str) -> list[int]:
 
 def held_out_views(observer: Observer, scene: str, sampler: PoseSampler, place: int, count: int) -> Views:
     """Views of a scene that are the same in every run, from the cache where they are kept."""
-    key: dict[str, Any] = {"view": observer.view_key(scene), "sampler": plain(sampler), "place": place, "count": count}
+    key: dict[str, Any] = {
+        "view": observer.view_key(scene),
+        "sampler": plain(sampler),
+        "place": place,
+        "count": count,
+    }
     seed = (0, Stream.HELD_OUT_VIEWS, place)
     return observer.cache.get_or_build("views", key, lambda: look(observer, scene, sampler, seed, count))

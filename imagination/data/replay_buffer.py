@@ -9,8 +9,8 @@ from imagination.views.collector import Views
 class ReplayBuffer:
     """A ring of views: rgb uint8, depth float16, masks as packed bits.
 
-    Batches mix old and new as registration does: a share `aggregation_factor` of each comes from the aggregated past, the
-    rest from the newest collection; no view comes twice in a batch. Without a past all come from the newest.
+    Batches mix old and new as registration does: a share `aggregation_factor` of each comes from the aggregated past,
+    the rest from the newest collection; no view comes twice in a batch. Without a past all come from the newest.
 
     Args:
         size: views that are kept; the oldest make room.
@@ -63,8 +63,8 @@ class ReplayBuffer:
         old = round(self.aggregation_factor * batch_size) if past else 0
         if old > past or batch_size - old > newest:
             raise UserError(
-                f"batch_size: got {batch_size}, of which {old} views from the past and {batch_size - old} from the newest "
-                f"collection, but the buffer holds {past} and {newest}; lower scale.batch_size or raise "
+                f"batch_size: got {batch_size}, of which {old} views from the past and {batch_size - old} from "
+                f"the newest collection, but the buffer holds {past} and {newest}; lower scale.batch_size or raise "
                 "scale.prefill_steps or scale.update_interval"
             )
         first = self._inserted - len(self)

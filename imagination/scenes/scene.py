@@ -60,7 +60,8 @@ class Material:
 
     Attributes:
         colour: RGB, 0 to 1.
-        texture: RGB image that repeats, or None. Texture coordinate (0, 0) is its lower-left corner, (1, 1) its upper-right.
+        texture: RGB image that repeats, or None. Texture coordinate (0, 0) is its lower-left corner, (1, 1) its
+            upper-right.
     """
 
     colour: tuple[float, float, float]

@@ -12,30 +12,27 @@ REGIONS = ("", "_seen", "_unseen")
 """Suffixes of the scores: over all cells, over those the depth image saw, over the others."""
 
 
-class EgoScores(Metric):
-    """IoU, precision and recall of V_valid, thresholded, against V_label, pooled over all cells of all views.
+THRESHOLDS = tuple(round(0.05 * step, 2) for step in range(1, 20))
+"""Candidates for the threshold of the egocentric map."""
 
-    A score whose denominator is 0 (nothing predicted, say) is 0.
+
+class EgoScores(Metric):
+    """Counts of V_valid against V_label, over all cells of all views, for every threshold in `THRESHOLDS`.
 
     Args:
-        categories: names of the maps.
+        categories: how many maps.
         kernel: of M*_seen, ε, cells.
-        threshold: from which value on a cell of V_valid counts as occupied.
         valid_threshold: τ_valid, from which value on a seen cell of the prediction is an object that M*_seen surrounds.
     """
 
     full_state_update = False
     counts: Tensor
 
-    def __init__(
-        self, categories: Sequence[str], kernel: int, threshold: float = 0.5, valid_threshold: float = 0.5
-    ) -> None:
+    def __init__(self, categories: int, kernel: int, valid_threshold: float = 0.5) -> None:
         super().__init__()
-        self.categories = list(categories)
         self.kernel = kernel
-        self.threshold = threshold
         self.valid_threshold = valid_threshold
-        empty = torch.zeros(len(REGIONS), 3, len(self.categories), dtype=torch.long)
+        empty = torch.zeros(len(THRESHOLDS), len(REGIONS), 3, categories, dtype=torch.long)
         self.add_state("counts", empty, dist_reduce_fx="sum")
 
     def update(
@@ -46,21 +43,41 @@ class EgoScores(Metric):
     ) -> None:
         """Count the cells of a batch."""
         valid = neighbourhood(probabilities, seen, self.kernel, self.valid_threshold)
-        predicted, truth, saw = valid & (probabilities >= self.threshold), label > 0, seen > 0
-        outcomes = torch.stack([predicted & truth, predicted & ~truth, ~predicted & truth])
-        regions = [outcomes, outcomes & saw, outcomes & ~saw]
-        self.counts += torch.stack([region.sum(dim=(1, 3, 4)) for region in regions])
+        truth, saw = label > 0, seen > 0
+        for counts, threshold in zip(self.counts, THRESHOLDS, strict=True):
+            predicted = valid & (probabilities >= threshold)
+            outcomes = torch.stack([predicted & truth, predicted & ~truth, ~predicted & truth])
+            regions = [outcomes, outcomes & saw, outcomes & ~saw]
+            counts += torch.stack([region.sum(dim=(1, 3, 4)) for region in regions])
 
-    def compute(self) -> dict[str, Tensor]:
-        """Scores, e.g. `iou`, `iou_seen`, `iou_unseen`: means over the categories; with several, those of each too."""
-        scores = {}
-        for region, counts in zip(REGIONS, self.counts, strict=True):
-            for name, values in ratios(counts).items():
-                scores[name + region] = values.mean()
-                if len(self.categories) > 1:
-                    each = zip(self.categories, values, strict=True)
-                    scores |= {f"{name}{region}_{category}": value for category, value in each}
-        return scores
+    def compute(self) -> Int64[Tensor, "t r 3 c"]:
+        """Hits, false alarms and misses, for each threshold, region and category."""
+        return self.counts
+
+
+def best_thresholds(counts: Int64[Tensor, "t r 3 c"]) -> Int64[Tensor, " c"]:
+    """Which of `THRESHOLDS` gives each category the highest IoU over all cells; the highest of equals."""
+    iou = torch.stack([ratios(each)["iou"] for each in counts[:, 0]])
+    return len(iou) - 1 - iou.flip(0).argmax(dim=0)
+
+
+def named_scores(
+    counts: Int64[Tensor, "t r 3 c"], chosen: Int64[Tensor, " c"], categories: Sequence[str]
+) -> dict[str, Tensor]:
+    """Scores at each category's threshold, e.g. `iou`, `iou_seen`, `iou_unseen`.
+
+    They are means over the categories; with several, those of each stand beside them. A score whose denominator is 0
+    (nothing predicted, say) is 0.
+    """
+    at_threshold = counts[chosen, :, :, torch.arange(len(categories), device=counts.device)]
+    scores = {}
+    for region, of_region in zip(REGIONS, at_threshold.permute(1, 2, 0), strict=True):
+        for name, values in ratios(of_region).items():
+            scores[name + region] = values.mean()
+            if len(categories) > 1:
+                each = zip(categories, values, strict=True)
+                scores |= {f"{name}{region}_{category}": value for category, value in each}
+    return scores
 
 
 def ratios(counts: Int64[Tensor, "3 c"]) -> dict[str, Float[Tensor, " c"]]:

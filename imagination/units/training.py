@@ -15,7 +15,7 @@ from imagination.errors import check_range
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import kernel_cells
 from imagination.units.loss import imagination_loss, ranks
-from imagination.units.metrics import EgoScores
+from imagination.units.metrics import THRESHOLDS, EgoScores, best_thresholds, named_scores
 from imagination.units.unit import Unit
 
 Batch = Mapping[str, Tensor]
@@ -33,12 +33,13 @@ class UnitTraining(LightningModule):
         optimizer: makes the optimiser, given parameters.
         scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
         alpha_max, gamma_max: caps of the loss's weights.
-        threshold: of the imagined map, for scores.
         valid_threshold: τ_valid, for M*_seen after prediction.
 
     Raises:
         UserError: if a cap or a threshold is out of range.
     """
+
+    chosen: Tensor
 
     def __init__(
         self,
@@ -49,20 +50,21 @@ class UnitTraining(LightningModule):
         scheduler: Callable[..., LRScheduler],
         alpha_max: float = 30.0,
         gamma_max: float = 10.0,
-        threshold: float = 0.5,
         valid_threshold: float = 0.5,
     ) -> None:
         super().__init__()
         self.unit = unit
+        self.categories: list[str] = list(unit.categories)
         self.optimizer = optimizer
         self.scheduler = scheduler
         self.alpha_max = check_range("model.module.alpha_max", alpha_max, 1, 10_000)
         self.gamma_max = check_range("model.module.gamma_max", gamma_max, 1, 10_000)
-        check_range("model.module.threshold", threshold, 0, 1)
         check_range("model.module.valid_threshold", valid_threshold, 0, 1)
         kernel = kernel_cells(neighbourhood, ego.resolution)
-        self.val_scores = EgoScores(unit.categories, kernel, threshold, valid_threshold)
-        self.test_scores = EgoScores(unit.categories, kernel, threshold, valid_threshold)
+        self.val_scores = EgoScores(len(self.categories), kernel, valid_threshold)
+        self.test_scores = EgoScores(len(self.categories), kernel, valid_threshold)
+        # which of THRESHOLDS each category's egocentric map takes, chosen at each validation; part of checkpoints
+        self.register_buffer("chosen", torch.full((len(self.categories),), len(THRESHOLDS) // 2))
         self._batch_start = 0.0
 
     def forward(self, batch: Batch) -> Float[Tensor, "b c v v"]:
@@ -110,7 +112,14 @@ class UnitTraining(LightningModule):
         self._score(batch, "test", self.test_scores)
 
     def on_validation_epoch_end(self) -> None:
+        self.chosen.copy_(best_thresholds(self.val_scores.compute()))
+        self.log("val/threshold", self.chosen_thresholds.mean())
         self._log_scores("val", self.val_scores)
+
+    @property
+    def chosen_thresholds(self) -> Float[Tensor, " c"]:
+        """Of each category's egocentric map."""
+        return torch.tensor(THRESHOLDS, device=self.chosen.device)[self.chosen]
 
     def on_test_epoch_end(self) -> None:
         self._log_scores("test", self.test_scores)
@@ -128,6 +137,7 @@ class UnitTraining(LightningModule):
         scores.update(logits.sigmoid(), batch["label"], batch["seen"])
 
     def _log_scores(self, stage: str, scores: EgoScores) -> None:
-        """Log the scores of all ranks and begin anew."""
-        self.log_dict({f"{stage}/{name}": value for name, value in scores.compute().items()})
+        """Log the scores of all ranks at the chosen thresholds and begin anew."""
+        named = named_scores(scores.compute(), self.chosen, self.categories)
+        self.log_dict({f"{stage}/{name}": value for name, value in named.items()})
         scores.reset()

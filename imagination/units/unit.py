@@ -50,9 +50,8 @@ class Unit(nn.Module, ABC):
 class ImaginationUnit(Unit):
     """Encoder for the image, backbone for the egocentric depth projection; the image's features join on its way down.
 
-    The paper's projection is `occupied` and `seen`. Ours has a layer for each band of heights beside them: on two cores'
-    time the place of a chair cannot be told from that of a washbasin by occupancy alone, and no bands
-    (`model.unit.heights=[]`) gives the paper's.
+    The paper's projection is `occupied` and `seen`. Ours has a layer for each band of heights beside them, since
+    occupancy alone does not tell a chair from a washbasin; no bands (`model.unit.heights=[]`) gives the paper's.
 
     Args:
         encoder: images to features.
@@ -114,7 +113,9 @@ class HeightBands(nn.Module):
             return depth.new_zeros(len(depth), 0, size, size, dtype=torch.float32)
         cells, height = self.returns(depth, self.heights[0], self.heights[-1])
         band = torch.bucketize(height, height.new_tensor(self.heights[1:-1]))
-        marked = height.new_zeros((len(depth) * size**2 + 1) * count)  # the last row is of pixels without a return
+        marked = height.new_zeros(
+            (len(depth) * size**2 + 1) * count
+        )  # the last row is of pixels without a return
         marked[(cells * count + band).reshape(-1)] = 1
         maps: Tensor = marked.view(-1, count)[:-1].view(-1, size, size, count).permute(0, 3, 1, 2)
         return maps

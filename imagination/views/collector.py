@@ -1,8 +1,8 @@
 """Collecting views for training: every view is a pure function of the seed and its place in the collection.
 
 A collection is `steps` looks in each of `parallel_scenes` scenes at once (the paper's "observations are randomly
-selected in 16 different scenes at the same time"). Nothing is carried from one collection to the next, so any of them can
-be made again, by any number of workers, in any order; those once made are kept in the cache.
+selected in 16 different scenes at the same time"). Nothing is carried from one collection to the next, so any of them
+can be made again, by any number of workers, in any order; those once made are kept in the cache.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -19,6 +19,7 @@ from imagination.views.view import Observer, View, plain
 
 Views = dict[str, np.ndarray]
 """Stacked views, compact: rgb uint8, depth float16, occupied, seen and object bool, pose float64."""
+
 
 class Stream(IntEnum):
     """Streams of random numbers that must not meet: the second number of every seed."""
@@ -82,7 +83,9 @@ class Collector:
         check_range("parallel_scenes", self.parallel_scenes, 1, 4096)
         check_range("update_interval", self.steps, 1, 10_000, "collection steps")
         if not self.scenes:
-            raise UserError("collector: got no training scenes, expected at least one; raise scale.homes.train")
+            raise UserError(
+                "collector: got no training scenes, expected at least one; raise scale.homes.train"
+            )
 
     @property
     def views_per_collection(self) -> int:
@@ -103,9 +106,13 @@ class Collector:
             "steps": self.steps,
         }
         if (kept := observer.cache.load("views", key)) is not None:
-            return lambda: kept  # a collection made before, by this run or another that asks for the same views
+            return lambda: (
+                kept
+            )  # a collection made before, by this run or another that asks for the same views
         parts = [
-            self.pool.submit(look, scene, self.sampler, (self.seed, Stream.TRAINING_VIEWS, index, slot), self.steps)
+            self.pool.submit(
+                look, scene, self.sampler, (self.seed, Stream.TRAINING_VIEWS, index, slot), self.steps
+            )
             for slot, scene in enumerate(slots)
         ]
 
@@ -118,5 +125,7 @@ class Collector:
 
     def _scene_of(self, position: int) -> str:
         lap, place = divmod(position, len(self.scenes))
-        order: list[int] = np.random.default_rng([self.seed, Stream.SCENE_ORDER, lap]).permutation(len(self.scenes)).tolist()
+        order: list[int] = (
+            np.random.default_rng([self.seed, Stream.SCENE_ORDER, lap]).permutation(len(self.scenes)).tolist()
+        )
         return self.scenes[order[place]]

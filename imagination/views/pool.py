@@ -39,7 +39,11 @@ class ScenePool:
         self._worker_of: dict[str, int] = {}
 
     def submit(
-        self, function: Callable[Concatenate[Observer, str, P], T], scene: str, *args: P.args, **kwargs: P.kwargs
+        self,
+        function: Callable[Concatenate[Observer, str, P], T],
+        scene: str,
+        *args: P.args,
+        **kwargs: P.kwargs,
     ) -> "Future[T]":
         """Start `function(observer, scene, *args, **kwargs)`; it must be importable from a module."""
         if self._workers:

@@ -43,7 +43,9 @@ class BalancedPoses:
         centres = np.array([thing.box.centre[:2] for thing in scene.of_category(self.category)])
         poses = []
         for pose in sample_poses(scene.free_space, count, rng):
-            turned = rng.random() < self.share  # drawn for every pose, so that the stream does not depend on the scene
+            turned = (
+                rng.random() < self.share
+            )  # drawn for every pose, so that the stream does not depend on the scene
             error, choice = rng.uniform(-self.spread, self.spread), rng.random()
             offsets = centres - np.array(pose[:2]) if len(centres) else np.empty((0, 2))
             near = offsets[np.hypot(*offsets.T) < self.distance]

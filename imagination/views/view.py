@@ -64,11 +64,17 @@ class Observer:
     truth_spec: GroundTruthSpec
     categories: CategoryTable
     cache: Cache
-    _loaded: dict[str, tuple[Scene, Renderer]] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _loaded: dict[str, tuple[Scene, Renderer]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
     _truths: dict[str, GroundTruth] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_loaded": {}, "_truths": {}}  # renderers stay in the process that built them
+        return {
+            **self.__dict__,
+            "_loaded": {},
+            "_truths": {},
+        }  # renderers stay in the process that built them
 
     def scene(self, name: str) -> Scene:
         """The scene, loaded once in each process."""
@@ -77,7 +83,9 @@ class Observer:
     def truth(self, name: str) -> GroundTruth:
         """Ground-truth maps of the scene, from the cache where they are kept."""
         if name not in self._truths:
-            arrays = self.cache.get_or_build("ground_truth", self.truth_key(name), lambda: self._build_truth(name))
+            arrays = self.cache.get_or_build(
+                "ground_truth", self.truth_key(name), lambda: self._build_truth(name)
+            )
             self._truths[name] = GroundTruth.from_arrays(arrays)
         return self._truths[name]
 

@@ -84,7 +84,9 @@ def test_layers_follow_the_category_table(tmp_path: Path) -> None:
     views = data(tmp_path).collector(2).start(0)()
     assert not np.array_equal(views["object"][:, 0], views["object"][:, 1])
     batch = data(tmp_path).assemble(views)
-    assert np.array_equal(batch["object"][:, 0].numpy().astype(bool), views["object"][:, TABLE.index("bed") - 1])
+    assert np.array_equal(
+        batch["object"][:, 0].numpy().astype(bool), views["object"][:, TABLE.index("bed") - 1]
+    )
 
 
 def test_an_unknown_category_names_those_that_exist(tmp_path: Path) -> None:
@@ -95,8 +97,15 @@ def test_an_unknown_category_names_those_that_exist(tmp_path: Path) -> None:
 def test_a_category_that_no_home_contains_is_refused(tmp_path: Path) -> None:
     plain = data(tmp_path)
     lamps = CategoryTable([*TABLE.rows, Category("piano", (0, 0, 0), {"rooms": ["piano"]})])
-    asks = Observer(**{**{name: getattr(plain.observer, name) for name in (
-        "source", "camera", "sensor", "ego", "obstacles", "truth_spec", "cache")}, "categories": lamps})
+    asks = Observer(
+        **{
+            **{
+                name: getattr(plain.observer, name)
+                for name in ("source", "camera", "sensor", "ego", "obstacles", "truth_spec", "cache")
+            },
+            "categories": lamps,
+        }
+    )
     module = SceneData(asks, ["piano"], UniformPoses(), UniformPoses(), 1.0, 0.62, 1, 4, 5, {}, 0)
     with pytest.raises(UserError, match="category 'piano': none of the 3 homes of the split 'train'"):
         module.setup("fit")

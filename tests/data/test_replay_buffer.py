@@ -30,8 +30,15 @@ def numbers(views: dict[str, np.ndarray]) -> list[int]:
 
 
 @settings(max_examples=50, deadline=None)
-@given(size=st.integers(6, 40), collections=st.integers(1, 12), share=st.sampled_from([0.0, 0.5, 0.9, 1.0]), seed=st.integers(0, 99))
-def test_a_batch_mixes_the_past_with_the_newest_collection(size: int, collections: int, share: float, seed: int) -> None:
+@given(
+    size=st.integers(6, 40),
+    collections=st.integers(1, 12),
+    share=st.sampled_from([0.0, 0.5, 0.9, 1.0]),
+    seed=st.integers(0, 99),
+)
+def test_a_batch_mixes_the_past_with_the_newest_collection(
+    size: int, collections: int, share: float, seed: int
+) -> None:
     buffer, kept = ReplayBuffer(size, share), []
     for index in range(collections):
         buffer.insert(numbered(6 * index, 6))

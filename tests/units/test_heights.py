@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 
 from imagination.errors import UserError
 from imagination.geometry.projection import Band, project_depth

@@ -7,7 +7,16 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imagination.units.metrics import EgoScores, dilate, neighbourhood
+from imagination.units.metrics import (
+    THRESHOLDS,
+    EgoScores,
+    best_thresholds,
+    dilate,
+    named_scores,
+    neighbourhood,
+)
+
+HALF = THRESHOLDS.index(0.5)
 
 
 @settings(max_examples=40, deadline=None)
@@ -54,9 +63,10 @@ def test_scores_by_hand() -> None:
     probabilities[0, 0, 0, 0:3] = 0.9  # 2 seen, 1 unseen next to them
     probabilities[0, 0, 4, 4] = 0.9  # far from anything seen: filtered
     label[0, 0, 0:2, 1:3] = 1  # 2 seen, 2 unseen
-    scores = EgoScores(["chair"], kernel=3)
+    scores = EgoScores(1, kernel=3)
     scores.update(probabilities, label, seen)
-    values = {name: value.item() for name, value in scores.compute().items()}
+    named = named_scores(scores.compute(), torch.tensor([HALF]), ["chair"])
+    values = {name: value.item() for name, value in named.items()}
     assert values == pytest.approx(
         {
             "iou": 2 / 5, "precision": 2 / 3, "recall": 2 / 4,
@@ -74,17 +84,30 @@ def test_cells_are_pooled_over_views_and_categories_averaged() -> None:
     label[0, 1, 2, 2] = 1
     probabilities = torch.zeros(2, 2, 4, 4)
     probabilities[0, 0, 0, 0], probabilities[0, 1, 2, 2] = 1.0, 1.0
-    both, apart = EgoScores(["chair", "bed"], 1), EgoScores(["chair", "bed"], 1)
+    both, apart = EgoScores(2, 1), EgoScores(2, 1)
     both.update(probabilities, label, seen)
     for view in range(2):
         apart.update(probabilities[view : view + 1], label[view : view + 1], seen[view : view + 1])
-    assert both.compute() == apart.compute()
-    assert both.compute()["iou_chair"].item() == 0.25
-    assert both.compute()["iou"].item() == pytest.approx((0.25 + 1) / 2)
+    assert torch.equal(both.compute(), apart.compute())
+    named = named_scores(both.compute(), torch.tensor([HALF, HALF]), ["chair", "bed"])
+    assert named["iou_chair"].item() == 0.25
+    assert named["iou"].item() == pytest.approx((0.25 + 1) / 2)
 
 
 def test_nothing_predicted_and_nothing_true_is_zero() -> None:
-    scores = EgoScores(["chair"], 3)
+    scores = EgoScores(1, 3)
     empty = torch.zeros(1, 1, 5, 5, dtype=torch.uint8)
     scores.update(torch.zeros(1, 1, 5, 5), empty, empty)
-    assert all(value.item() == 0 for value in scores.compute().values())
+    named = named_scores(scores.compute(), torch.tensor([HALF]), ["chair"])
+    assert all(value.item() == 0 for value in named.values())
+
+
+def test_each_category_gets_the_threshold_of_its_highest_iou() -> None:
+    label, seen = torch.zeros(1, 2, 1, 4, dtype=torch.uint8), torch.ones(1, 1, 1, 4, dtype=torch.uint8)
+    label[0, :, 0, 0] = 1
+    probabilities = torch.tensor([[0.87, 0.83, 0.0, 0.0], [0.62, 0.57, 0.57, 0.0]]).view(1, 2, 1, 4)
+    scores = EgoScores(2, 4)
+    scores.update(probabilities, label, seen)
+    chosen = best_thresholds(scores.compute())
+    assert [THRESHOLDS[index] for index in chosen] == [0.85, 0.6]
+    assert named_scores(scores.compute(), chosen, ["chair", "bed"])["iou"].item() == 1

@@ -99,7 +99,7 @@ def test_a_checkpoint_holds_weights_and_plain_values_only(tmp_path) -> None:
     module.load_state_dict(state["state_dict"])
 
 
-@pytest.mark.parametrize("option", ["alpha_max", "gamma_max", "threshold", "valid_threshold"])
+@pytest.mark.parametrize("option", ["alpha_max", "gamma_max", "valid_threshold"])
 def test_values_out_of_range_are_refused_by_name(option: str) -> None:
     for value in (-1.0, float("nan")):
         with pytest.raises(UserError, match=option):

@@ -30,7 +30,9 @@ class BoxRooms:
         return [f"{split}_{number}" for number in range(self.homes[split])]
 
     def load(self, scene: str) -> Scene:
-        check_choice("scene", scene, [name for split in ("train", "val", "test") for name in self.scenes(split)])
+        check_choice(
+            "scene", scene, [name for split in ("train", "val", "test") for name in self.scenes(split)]
+        )
         side = 4.0 + 0.5 * int(scene.rpartition("_")[2])
         room = _box((0.0, 0.0, HEIGHT / 2), (side, side, HEIGHT))[:, ::-1]  # seen from inside
         mesh = _mesh([room, _box((0.0, 0.0, SEAT[2] / 2), SEAT)])
@@ -59,4 +61,6 @@ def _mesh(boxes: list[np.ndarray]) -> Mesh:
     owner = np.repeat(np.arange(len(boxes), dtype=np.int32), 12)
     faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
     materials = (Material((0.8, 0.8, 0.7)), Material((0.7, 0.2, 0.2)))
-    return Mesh(triangles.reshape(-1, 3), faces, owner, owner, np.zeros((len(faces), 3, 2), np.float32), materials)
+    return Mesh(
+        triangles.reshape(-1, 3), faces, owner, owner, np.zeros((len(faces), 3, 2), np.float32), materials
+    )

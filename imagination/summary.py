@@ -1,0 +1,76 @@
+"""What a run tells at its end: scores of single views, where the time went, where everything lies."""
+
+from __future__ import annotations
+
+import resource
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig
+
+from imagination import runs
+from imagination.progress import shares
+from imagination.resume import Run
+
+if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does without
+    from lightning import Trainer
+
+REGIONS = {"all": "", "seen": "_seen", "unseen": "_unseen"}
+"""Cells of the egocentric map, and the ending of their scores' names."""
+
+
+def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
+    """Show the run's settings beside its final figures in TensorBoard."""
+    from imagination.checkpoints import plain_values
+
+    values = plain_values(config)
+    nodes = ("name", "seed", "unit_categories", "scale", "kernels", "aggregation_factor", "model", "mapping")
+    figures = {name: float(value) for name, value in trainer.callback_metrics.items()}
+    if trainer.logger is not None:
+        trainer.logger.log_hyperparams({node: values[node] for node in nodes}, figures)
+        trainer.logger.save()
+
+
+def egocentric(run: Run, trainer: Trainer) -> str:
+    """Write tables/ego.csv, the scores of single views of test homes, and tell them with what was trained on."""
+    scores = {name: float(value) for name, value in trainer.callback_metrics.items()}
+    lines = ["cells,iou,precision,recall"]
+    for cells, ending in REGIONS.items():
+        lines.append(
+            ",".join(
+                [cells, *(f"{scores[f'test/{of}{ending}']:.4f}" for of in ("iou", "precision", "recall"))]
+            )
+        )
+    runs.write_text(run.folder / "tables" / "ego.csv", "\n".join(lines) + "\n")
+    ious = ", ".join(
+        f"{scores[f'test/iou{ending}']:.3f} over {cells} cells" for cells, ending in REGIONS.items()
+    )
+    told = f"Egocentric IoU on views of unseen homes: {ious} (tables/ego.csv)"
+    if "data/collected_views" in scores:  # not when a finished run is only tested again
+        views, draws = scores["data/collected_views"], scores["data/draws_per_view"]
+        told += f"\nTrained on {views * draws:.0f} samples of {views:.0f} distinct views, {draws:.1f} draws a view"
+    return told
+
+
+def summary(run: Run, checkpoint: Path | None) -> str:
+    """Where the time went, the memory taken, where everything lies and what to do with it."""
+    seconds = shares.report()
+    parts = ", ".join(
+        f"{name} {value:.0f} s ({value / seconds['total']:.0%})" for name, value in seconds.items()
+    )
+    lines = [f"Time: {parts}", f"Peak memory: at most {peak_memory(run.config.scale.workers):.1f} GB"]
+    lines.append(f"Results: {run.folder}/ (tables/, figures/, checkpoints/, tensorboard/)")
+    kept = checkpoint or run.folder / runs.LAST
+    if kept.is_file():
+        lines.append(f"Evaluate again: python -m imagination.evaluate ckpt={kept}")
+    return "\n".join(lines)
+
+
+def peak_memory(workers: int) -> float:
+    """Upper bound of the memory in use at once, GB: this process's peak and, for each worker, the largest one's."""
+    unit = 1e9 if sys.platform == "darwin" else 1e6  # bytes there, kilobytes on Linux
+    own, largest = (
+        resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    return (own + workers * largest) / unit
