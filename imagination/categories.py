@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from imagination.errors import UserError, check_choice
 
@@ -47,11 +48,13 @@ class CategoryTable:
                         )
 
     @classmethod
-    def from_config(cls, config: Mapping[str, Mapping[str, object]]) -> "CategoryTable":
+    def from_config(cls, config: Mapping[str, Mapping[str, Any]]) -> "CategoryTable":
         """Build the table from conf/categories: {name: {colour: [r, g, b], members: {source: [label]}}}."""
-        return cls(
-            [Category(name, tuple(row["colour"]), row.get("members", {})) for name, row in config.items()]
-        )  # type: ignore[arg-type]
+        rows = [
+            Category(name, tuple(row["colour"]), row.get("members", {}))
+            for name, row in config.items()
+        ]
+        return cls(rows)
 
     def __iter__(self) -> Iterator[Category]:
         return iter(self.rows)
