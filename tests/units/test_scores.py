@@ -103,9 +103,9 @@ def test_nothing_predicted_and_nothing_true_is_zero() -> None:
 
 
 def test_each_category_gets_the_threshold_of_its_highest_iou() -> None:
-    label, seen = torch.zeros(1, 2, 1, 4, dtype=torch.uint8), torch.ones(1, 1, 1, 4, dtype=torch.uint8)
+    label, seen = torch.zeros(1, 2, 2, 2, dtype=torch.uint8), torch.ones(1, 1, 2, 2, dtype=torch.uint8)
     label[0, :, 0, 0] = 1
-    probabilities = torch.tensor([[0.87, 0.83, 0.0, 0.0], [0.62, 0.57, 0.57, 0.0]]).view(1, 2, 1, 4)
+    probabilities = torch.tensor([[0.87, 0.83, 0.0, 0.0], [0.62, 0.57, 0.57, 0.0]]).view(1, 2, 2, 2)
     scores = EgoScores(2, 4)
     scores.update(probabilities, label, seen)
     chosen = best_thresholds(scores.compute())
