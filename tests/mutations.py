@@ -381,8 +381,8 @@ MUTATIONS = [
     Mutation(
         "viewpoints: snapping",
         "views/viewpoints.py",
-        "centres[np.argmin(",
-        "centres[np.argmax(",
+        "int(np.argmin(",
+        "int(np.argmax(",
         "tests/views/test_viewpoints.py",
     ),
     Mutation(
@@ -416,8 +416,8 @@ MUTATIONS = [
     Mutation(
         "loss: weights minus one",
         "units/loss.py",
-        "(weight.view(-1, 1, 1) - 1 for weight in weights)",
-        "(weight.view(-1, 1, 1) for weight in weights)",
+        "(w_alpha - 1).view(-1, 1, 1)",
+        "w_alpha.view(-1, 1, 1)",
         "tests/units/test_loss.py",
     ),
     Mutation(
@@ -444,8 +444,8 @@ MUTATIONS = [
     Mutation(
         "loss: sum over the batch",
         "units/loss.py",
-        "return total * ranks() / views[0], weights",
-        "return total * ranks(), weights",
+        "return total * ranks() / views[0], Weights",
+        "return total * ranks(), Weights",
         "tests/units/test_loss.py",
     ),
     Mutation(
