@@ -32,7 +32,7 @@ Arrays = dict[str, np.ndarray]
 MAGIC = b"imagination cache 1\n"
 DIGEST = hashlib.sha256().digest_size
 
-MAKERS = ("geometry", "scenes", "ground_truth", "views")
+MAKERS = ("geometry", "scenes", "ground_truth", "views", "data", "evaluation")
 """Packages whose code makes the entries: a change in it leaves old entries aside, so none can be out of date."""
 
 
