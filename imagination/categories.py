@@ -50,10 +50,7 @@ class CategoryTable:
     @classmethod
     def from_config(cls, config: Mapping[str, Mapping[str, Any]]) -> "CategoryTable":
         """Build the table from conf/categories: {name: {colour: [r, g, b], members: {source: [label]}}}."""
-        rows = [
-            Category(name, tuple(row["colour"]), row.get("members", {}))
-            for name, row in config.items()
-        ]
+        rows = [Category(name, tuple(row["colour"]), row.get("members", {})) for name, row in config.items()]
         return cls(rows)
 
     def __iter__(self) -> Iterator[Category]:

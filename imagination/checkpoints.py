@@ -26,8 +26,8 @@ from imagination.runs import replacing
 KEY = "imagination"
 """Our entry in the dictionary that Lightning saves."""
 
-GROUP_CHOICE = re.compile(r"[+~]?[A-Za-z]\w*(/\w+)*(@[\w.]+)?(=(\w[\w/-]*|\[[\w,/-]*\]|null))?")
-"""The choice of a group's option as on a command line, e.g. "model/encoder=timm"; no path that leaves the conf tree."""
+CHOICE = re.compile(r"(?!hydra)[+~]*[A-Za-z][\w./@]*(=.*)?")
+"""An override as on a command line, e.g. "model/encoder=timm" or "seed=3", of anything but Hydra itself."""
 
 
 class ConfigInCheckpoint(Callback):
@@ -115,7 +115,7 @@ class Checkpoint:
                     f"checkpoint {self.path}: holds {text!r}; expected plain values, do not use this file"
                 )
         for text in choices:
-            if not GROUP_CHOICE.fullmatch(text):
+            if not CHOICE.fullmatch(text) or ".." in text:  # no path that leaves the conf tree
                 raise UserError(
                     f"checkpoint {self.path}: holds {text!r}, expected the choice of a group's option"
                 )
@@ -123,19 +123,26 @@ class Checkpoint:
         merged: dict[str, Any] = _with_values(OmegaConf.to_container(composed, resolve=True), values)
         return OmegaConf.create(merged)
 
-    def require(self, categories: list[str], resolution: float) -> None:
-        """Check that the checkpoint is of a unit for these categories and cells of this size.
+    def require(self, categories: list[str], config: DictConfig) -> None:
+        """Check that the checkpoint is of a unit for these categories, and for the camera and maps of a config.
 
         Raises:
             UserError: if it is not.
         """
-        values = self.state[KEY]["values"]
-        has = list(values["unit_categories"]), float(values["scale"]["resolution"])
-        if has != (list(categories), float(resolution)):
+        values, asked = self.state[KEY]["values"], plain_values(config)
+        has = list(values["unit_categories"]), float(values["ego"]["resolution"])
+        if has != (list(categories), float(asked["ego"]["resolution"])):
             raise UserError(
                 f"checkpoint {self.path}: is of {', '.join(has[0])} at {has[1]} m a cell, but the evaluation asks for "
-                f"{', '.join(categories)} at {resolution} m; choose another checkpoint or the same experiment and scale"
+                f"{', '.join(categories)} at {asked['ego']['resolution']} m; choose another checkpoint, or leave out "
+                "what overrides them"
             )
+        for node in ("camera", "ego"):
+            if values[node] != asked[node]:
+                raise UserError(
+                    f"checkpoint {self.path}: was trained with the {node} {values[node]}, but the evaluation asks for "
+                    f"{asked[node]}; choose another checkpoint, or leave out what overrides it"
+                )
 
     def model(self) -> LightningModule:
         """The trained LightningModule, in evaluation mode on the CPU.
@@ -166,6 +173,14 @@ def _plain(node: Any) -> Any:
             key: _plain(value) for key, value in node.items() if not key.startswith("_") and key != "paths"
         }
     return [_plain(value) for value in node] if isinstance(node, list) else node
+
+
+def _load_no_weights(node: Any) -> None:
+    """Build encoders without the weights that training may have started from: the checkpoint brings its own."""
+    for key, value in node.items() if isinstance(node, dict) else ():
+        if key == "pretrained":
+            node[key] = False
+        _load_no_weights(value)
 
 
 def _texts(node: Any) -> Iterator[str]:

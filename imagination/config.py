@@ -1,6 +1,8 @@
 """Commands with a composed config: where conf lies, what it may hold, how mistakes are told."""
 
+import inspect
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -32,6 +34,20 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.resolution": (0.005, 1.0, "m"),
     "scale.ego_extent": (0.5, 100.0, "m"),
     "scale.world_extent": (1.0, 10_000.0, "m"),
+    "scale.image": (8, 8192, "pixels"),
+    "scale.truth_image": (8, 8192, "pixels"),
+    "scale.homes.train": (1, 9999, "homes"),
+    "scale.homes.val": (1, 9999, "homes"),
+    "scale.homes.test": (1, 9999, "homes"),
+    "scale.held_out_views.val": (1, 10_000_000, "views"),
+    "scale.held_out_views.test": (1, 10_000_000, "views"),
+    "scale.parallel_scenes": (1, 4096, "scenes"),
+    "scale.update_interval": (1, 10_000, "collection steps"),
+    "scale.update_batches": (1, 100_000, "batches"),
+    "scale.buffer_size": (1, 10_000_000, "views"),
+    "scale.prefill_steps": (0, 10_000_000, "collection steps"),
+    "scale.eval_every": (1, 1_000_000, "rounds"),
+    "scale.eval_homes": (1, 100_000, "homes"),
     "scale.batch_size": (1, 100_000, "views"),
     "scale.rounds": (1, 10**9, "rounds"),
     "scale.learning_rate": (0.0, 10.0, ""),
@@ -46,8 +62,19 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
 
 CELL_WIDTH = (0.1, 100.0, "m")
 
-TRUSTED = ("imagination", "lightning", "torch.nn", "torch.optim", "torchmetrics", "timm.models")
-"""What a config read from a file may build, besides what plugins define."""
+TRUSTED = (
+    "imagination",
+    "lightning.pytorch.trainer",
+    "lightning.pytorch.callbacks",
+    "lightning.pytorch.loggers",
+    "torch.nn",
+    "torch.optim",
+    "torchmetrics",
+)
+"""Where classes that a config read from a file builds may be defined, besides plugins."""
+
+RESOLVER = re.compile(r"\$\{[\w.]+:")
+"""A call inside a value, such as ${oc.decode:…}, which could make a target out of text."""
 
 Task = Callable[[DictConfig], None]
 
@@ -170,34 +197,32 @@ def validate(config: DictConfig) -> None:
 
 
 def check_targets(config: DictConfig) -> None:
-    """Check that a config read from a file builds only what the program, its plugins and its libraries define.
+    """Check that a config read from a file builds only classes of the program, its plugins and its libraries.
 
     Raises:
-        UserError: if a `_target_` lies elsewhere or cannot be found.
+        UserError: if a `_target_` is something else or cannot be found, or a value calls a resolver.
     """
+    if call := RESOLVER.search(OmegaConf.to_yaml(config)):
+        raise UserError(
+            f"config: got a value with {call[0]!r}, expected plain values and references; start a new run"
+        )
     allowed = {*TRUSTED, *(package for plugin in plugins.activate() for package in plugin.packages)}
+    tops = {prefix.partition(".")[0] for prefix in allowed}
     for target in dict.fromkeys(plugins.targets_of(OmegaConf.to_container(config))):
-        package = target.partition(".")[0]
         try:
-            # the module where it is defined counts: a path such as imagination.runs.os.remove leads elsewhere
-            home = (
-                str(getattr(hydra.utils.get_object(target), "__module__", ""))
-                if package in _tops(allowed)
-                else ""
-            )
+            made = hydra.utils.get_object(target) if target.partition(".")[0] in tops else None
         except (ImportError, AttributeError) as error:
             raise UserError(
                 f"_target_: got {target!r}, which cannot be found; install its plugin again"
             ) from error
+        # a class, or the class of a method that makes one; where it is defined counts, not the path that leads to it
+        kind = made if inspect.isclass(made) else getattr(made, "__self__", None)
+        home = kind.__module__ if inspect.isclass(kind) else ""
         if not any(home == prefix or home.startswith(f"{prefix}.") for prefix in allowed):
             raise UserError(
-                f"_target_: got {target!r}, expected one defined in {', '.join(sorted(allowed))}; "
+                f"_target_: got {target!r}, expected a class defined in {', '.join(sorted(allowed))}; "
                 "if you trust it, start a new run with it"
             )
-
-
-def _tops(prefixes: set[str]) -> set[str]:
-    return {prefix.partition(".")[0] for prefix in prefixes}
 
 
 def _check_number(key: str, value: Any, low: float, high: float, unit: str) -> None:

@@ -8,9 +8,9 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from imagination.evaluation.protocol import MappingProtocol
 
 log = logging.getLogger(__name__)
-
-NOT_INHERITED = ("paths", "cache", "callbacks", "trainer", "logger", "choices", "ckpt_path", "resume")
-"""Nodes of a run's config that say where and how it ran, not what was trained."""
 
 
 @command("evaluate")
@@ -82,46 +79,29 @@ def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictC
     Raises:
         UserError: if a checkpoint is of other categories or another resolution than that asks for.
     """
+    from imagination.checkpoints import KEY
+
     held = [list(checkpoint.config.unit_categories) for checkpoint in checkpoints]
     every = [name for names in held for name in names]
     if len(set(every)) < len(every):
         raise UserError(f"ckpt: got checkpoints of {', '.join(every)}, expected each category once")
     categories = f"unit_categories={json.dumps(every)}"
-    config = compose("evaluate", [*inherited(checkpoints[0]), categories, *overrides])
+    given = {_key(text) for text in overrides}
+    inherited = [text for text in checkpoints[0].state[KEY]["choices"] if _key(text) not in given]
+    config = compose("evaluate", [*inherited, categories, "paths.run=.", *overrides])
     validate(config)
     asked, start = list(config.unit_categories), 0
     for checkpoint, names in zip(checkpoints, held, strict=True):
         # with one checkpoint it must be of everything asked for, with several each of its part
         part = asked if len(checkpoints) == 1 else asked[start : start + len(names)]
-        checkpoint.require(part, config.scale.resolution)
+        checkpoint.require(part, config)
         start += len(names)
     return config
 
 
-def inherited(checkpoint: Checkpoint) -> list[str]:
-    """Overrides under which conf/evaluate.yaml composes to the config of the checkpoint's run, references kept.
-
-    References are kept so that an override after these, such as `scale.viewpoint_sets=1`, reaches all that refer to it.
-    """
-    from imagination.checkpoints import KEY
-
-    overrides = list(checkpoint.state[KEY]["choices"])
-    wanted = dict(_leaves(OmegaConf.to_container(checkpoint.config)))
-    for resolve in (
-        False,
-        True,
-    ):  # first plain values, then values that the run had put in a reference's place
-        composed = compose("evaluate", [*overrides, "paths.run=.", "ckpt=."])
-        now = dict(_leaves(OmegaConf.to_container(composed, resolve=resolve)))
-        references = tuple(key for key, value in now.items() if isinstance(value, str) and "${" in value)
-        overrides += [
-            f"++{key}={_quoted(value)}"
-            for key, value in wanted.items()
-            if key.partition(".")[0] not in NOT_INHERITED
-            and (key not in now or now[key] != value)
-            and not any(key == reference or key.startswith(reference + ".") for reference in references)
-        ]
-    return overrides
+def _key(override: str) -> str:
+    """What an override sets: Hydra takes a group's option only once."""
+    return override.lstrip("+~").partition("=")[0]
 
 
 def new_folder(config: DictConfig) -> Path:
@@ -131,26 +111,6 @@ def new_folder(config: DictConfig) -> Path:
     if hydra.mode == RunMode.MULTIRUN:
         return runs.create_folder(parent / Path(hydra.sweep.dir).name, str(hydra.job.num))
     return runs.create_folder(parent, f"evaluate_{runs.now()}")
-
-
-def _leaves(node: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted key and value of everything in a config that is not itself a mapping with entries."""
-    if isinstance(node, dict) and node:
-        for key, value in node.items():
-            yield from _leaves(value, f"{prefix}.{key}" if prefix else str(key))
-    else:
-        yield prefix, node
-
-
-def _quoted(value: Any) -> str:
-    """A plain value as Hydra's command line writes it."""
-    if isinstance(value, str):
-        return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
-    if isinstance(value, list):
-        return "[" + ",".join(map(_quoted, value)) + "]"
-    if isinstance(value, dict):
-        return "{" + ",".join(f"{key}:{_quoted(item)}" for key, item in value.items()) + "}"
-    return "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,9 @@ log = logging.getLogger(__name__)
 MAY_CHANGE = ("trainer.max_epochs", "trainer.accelerator", "trainer.devices", "paths.")
 """What may be overridden when a run goes on; all else is the run's own."""
 
+WHERE_AND_HOW = ("paths", "cache", "callbacks", "trainer", "logger", "ckpt_path", "resume", "hydra")
+"""Nodes that say where and how a run runs, not what it trains: a checkpoint leaves overrides of them out."""
+
 
 class Run(NamedTuple):
     """A run that this process holds.
@@ -75,7 +78,7 @@ def _new(config: DictConfig) -> Path:
 
 def _begin(folder: Path, config: DictConfig) -> Run:
     config.paths.run = str(folder)
-    config.choices = group_choices()
+    config.choices = choices()
     runs.write_text(folder / runs.COMPOSED, OmegaConf.to_yaml(config))
     runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
     if HydraConfig.get().mode != RunMode.MULTIRUN:
@@ -83,11 +86,14 @@ def _begin(folder: Path, config: DictConfig) -> Run:
     return Run(folder, config, None)
 
 
-def group_choices() -> list[str]:
-    """The overrides of this command line that choose a group's option, e.g. "+experiment=chair_unet"."""
-    groups = {group.partition("@")[0] for group in HydraConfig.get().runtime.choices}
-    overrides = HydraConfig.get().overrides.task
-    return [text for text in overrides if re.split("[=@]", text.lstrip("+~"))[0] in groups]
+def choices() -> list[str]:
+    """The overrides of this command line that say what is trained, e.g. "+experiment=chair_unet" or "seed=3"."""
+
+    def kept(text: str) -> bool:
+        top = re.split("[=@./]", text.lstrip("+~"))[0]
+        return top not in WHERE_AND_HOW and "_target_" not in text and "${" not in text
+
+    return [text for text in HydraConfig.get().overrides.task if kept(text)]
 
 
 def _existing(config: DictConfig) -> Path:

@@ -2,12 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from imagination.config import compose, validate
+from imagination.data.replay_buffer import ReplayBuffer
 from imagination.errors import UserError
 from tests.conftest import ROOT
 
@@ -111,3 +113,13 @@ def test_a_category_is_added_by_config() -> None:
     config = compose("train", [row, "unit_categories=[stool]"])
     validate(config)
     assert list(config.categories) == ["chair", "bed", "table", "stool"]
+
+
+@pytest.mark.parametrize("scale", options("scale"))
+def test_the_buffer_holds_enough_for_the_first_batch(scale: str) -> None:
+    config = compose("train", [f"scale={scale}", "paths.run=."])
+    size, buffer = config.scale, ReplayBuffer(config.scale.buffer_size, config.aggregation_factor)
+    collection = size.parallel_scenes * size.update_interval
+    for _ in range(size.prefill_steps // size.update_interval + 1):
+        buffer.insert({"pose": np.zeros((collection, 3))})
+    assert len(buffer.draw(size.batch_size, np.random.default_rng(0))["pose"]) == size.batch_size

@@ -21,7 +21,8 @@ JOB = ["+experiment=chair_unet", "scale=test"]
 
 
 def config(*overrides: str) -> DictConfig:
-    composed = compose("train", [*JOB, *overrides, "paths.run=."])
+    scale = [] if any(text.startswith("scale=") for text in overrides) else JOB[1:]
+    composed = compose("train", [JOB[0], *scale, *overrides, "paths.run=."])
     composed.choices = JOB
     return composed
 
@@ -49,9 +50,9 @@ def test_a_checkpoint_brings_its_values_and_no_targets(tmp_path: Path) -> None:
     )
     assert read.config.model.unit._target_ == "imagination.units.unit.ImaginationUnit"
     assert read.model().alpha_max == 12.0
-    read.require(["chair"], 0.12)
+    read.require(["chair"], config())
     with pytest.raises(UserError, match=r"is of chair at 0.12 m a cell, but .* asks for bed at 0.06 m"):
-        read.require(["bed"], 0.06)
+        read.require(["bed"], config("scale=desk"))
 
 
 @pytest.mark.parametrize(
@@ -107,11 +108,25 @@ def test_our_own_targets_are_trusted(experiment: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "target", ["os.system", "imagination.runs.os.remove", "torch.load", "no_such_package.Thing"]
+    "target",
+    [
+        "os.system",
+        "imagination.runs.os.remove",
+        "imagination.runs.write_text",
+        "torch.load",
+        "lightning.fabric.utilities.cloud_io._load",
+        "no_such_package.Thing",
+    ],
 )
 def test_other_targets_are_refused(target: str) -> None:
     with pytest.raises(UserError, match="_target_: got "):
         check_targets(OmegaConf.create({"list": [{"_target_": target}]}))
+
+
+def test_a_hidden_target_is_refused() -> None:
+    hidden = OmegaConf.create({"model": "${oc.decode:'{_target_: os.system}'}"})
+    with pytest.raises(UserError, match="oc.decode"):
+        check_targets(hidden)
 
 
 def test_a_run_goes_on_with_its_own_config_only(command: Command, tmp_path: Path) -> None:

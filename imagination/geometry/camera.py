@@ -47,6 +47,9 @@ class Camera:
         roll: float = 0.0,
     ) -> "Camera":
         """The camera as configured: angles in degrees, everything else as in the class."""
+        check_range("camera.field_of_view", field_of_view, 6, 170, "degrees")
+        check_range("camera.pitch", pitch, -80, 80, "degrees (positive looks down)")
+        check_range("camera.roll", roll, -180, 180, "degrees")
         fov, tilt, turn = np.deg2rad([field_of_view, pitch, roll]).tolist()
         return cls(width, height, fov, mount_height, tilt, turn)
 

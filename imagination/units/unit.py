@@ -51,7 +51,7 @@ class ImaginationUnit(Unit):
     """Encoder for the image, backbone for the egocentric depth projection; the image's features join on its way down.
 
     The paper's projection is `occupied` and `seen`. Ours has a layer for each band of heights beside them, since
-    occupancy alone does not tell a chair from a washbasin; no bands (`model.unit.heights=[]`) gives the paper's.
+    occupancy alone does not tell a chair from a washbasin; no bands (`scale.heights=[]`, as at `scale=paper`) gives the paper's.
 
     Args:
         encoder: images to features.
@@ -100,7 +100,7 @@ class HeightBands(nn.Module):
     def __init__(self, camera: Camera, ego: EgoGrid, heights: Sequence[float]) -> None:
         super().__init__()
         if list(heights) != sorted(set(heights)):
-            raise UserError(f"model.unit.heights: got {list(heights)}, expected ascending metres, each once")
+            raise UserError(f"scale.heights: got {list(heights)}, expected ascending metres, each once")
         self.heights = list(heights)
         self.count = max(len(heights) - 1, 0)
         self.ego = ego

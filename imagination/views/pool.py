@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing import get_context, parent_process
+from signal import SIG_IGN, SIGINT, signal
 from threading import Thread
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
@@ -63,6 +64,7 @@ def _start(observer: Observer) -> None:
     global _observer
     _observer = observer
     cv2.setNumThreads(1)  # one worker, one core
+    signal(SIGINT, SIG_IGN)  # Ctrl-C is for the main process, which stops its workers
     os.nice(5)  # training in the main process goes first
     Thread(target=_end_with_parent, daemon=True).start()
 

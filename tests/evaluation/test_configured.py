@@ -16,7 +16,7 @@ from imagination.evaluate import configured
 def checkpoint(choices: list[str], *values: str) -> Checkpoint:
     """What a run with these overrides keeps of its config, without weights."""
     config = compose("train", [*choices, *values, "paths.run=."])
-    OmegaConf.update(config, "choices", choices)
+    OmegaConf.update(config, "choices", [*choices, *values])
     return Checkpoint(Path("best.ckpt"), {KEY: ConfigInCheckpoint(config).description, "state_dict": {}})
 
 
@@ -50,6 +50,8 @@ def test_without_overrides_everything_is_as_in_the_run() -> None:
     values += [
         "evaluation.cell_widths=[4.0]",
         "mapping.segmentation.max_range=3.5",
+        "camera.width=40",
+        "kernels.imaginable=0.9",
     ]  # in the place of references
     trained = compose("train", [*choices, *values, "paths.run=."])
     evaluated = configured([checkpoint(choices, *values)], ["ckpt=best.ckpt"])
@@ -83,6 +85,12 @@ def test_units_of_several_categories_stand_side_by_side(chair: Checkpoint) -> No
 @pytest.mark.parametrize("override", ["unit_categories=[chair,bed]", "scale.resolution=0.1"])
 def test_a_checkpoint_of_something_else_is_refused(chair: Checkpoint, override: str) -> None:
     with pytest.raises(UserError, match=r"best\.ckpt: is of chair at 0\.12 m"):
+        configured([chair], ["ckpt=best.ckpt", override])
+
+
+@pytest.mark.parametrize("override", ["camera.width=40", "scale.ego_extent=4.2", "camera.mount_height=0.9"])
+def test_another_camera_or_map_is_refused(chair: Checkpoint, override: str) -> None:
+    with pytest.raises(UserError, match=r"best\.ckpt: was trained with the (camera|ego) "):
         configured([chair], ["ckpt=best.ckpt", override])
 
 
