@@ -51,7 +51,8 @@ class ImaginationUnit(Unit):
     """Encoder for the image, backbone for the egocentric depth projection; the image's features join on its way down.
 
     The paper's projection is `occupied` and `seen`. Ours has a layer for each band of heights beside them, since
-    occupancy alone does not tell a chair from a washbasin; no bands (`scale.heights=[]`, as at `scale=paper`) gives the paper's.
+    occupancy alone does not tell a chair from a washbasin; no bands (`scale.heights=[]`, as at `scale=paper`) gives
+    the paper's.
 
     Args:
         encoder: images to features.
