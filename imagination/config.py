@@ -57,6 +57,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.orientations": (1, 1000, ""),
     "scale.workers": (0, 1024, "processes"),
     "trainer.max_epochs": (1, 10**9, "rounds"),
+    "trainer.devices": (1, 1, "device"),  # several need views of their own for each rank
 }
 """What is checked before anything is built; builders check what they get as well. Whole bounds mean whole numbers."""
 

@@ -129,7 +129,7 @@ def plain(value: Any) -> Any:
     """Dataclasses, named tuples and mappings as plain values that keys of caches are made of."""
     if is_dataclass(value) and not isinstance(value, type):
         inside = {item.name: plain(getattr(value, item.name)) for item in fields(value) if item.init}
-        return {"class": type(value).__qualname__, **inside}
+        return {"class": f"{type(value).__module__}.{type(value).__qualname__}", **inside}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
