@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 
 from imagination import runs
 from imagination.config import command
+from imagination.errors import check_choice
 from imagination.progress import stage
 from imagination.resume import Run, opened
 from imagination.summary import egocentric, record_hyperparameters, summary
@@ -21,6 +22,9 @@ if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does wit
     from imagination.data.datamodule import SceneData
 
 log = logging.getLogger(__name__)
+
+PRECISIONS = ("auto", "32-true", "64-true", "bf16-mixed", "bf16-true", "16-mixed", "16-true")
+"""What `precision` may be: auto, or Lightning's names."""
 
 
 @command("train")
@@ -85,6 +89,7 @@ def precision(asked: str) -> str:
     """Lightning's name of the precision; `auto` takes bfloat16 where the hardware computes it, twice as fast."""
     import torch
 
+    check_choice("precision", asked, PRECISIONS)
     if asked != "auto":
         return asked
     if torch.cuda.is_available():

@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 from imagination.config import compose, validate
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.errors import UserError
+from imagination.train import precision
 from tests.conftest import ROOT
 
 CONF = ROOT / "conf"
@@ -123,3 +124,9 @@ def test_the_buffer_holds_enough_for_the_first_batch(scale: str) -> None:
     for _ in range(size.prefill_steps // size.update_interval + 1):
         buffer.insert({"pose": np.zeros((collection, 3))})
     assert len(buffer.draw(size.batch_size, np.random.default_rng(0))["pose"]) == size.batch_size
+
+
+def test_an_unknown_precision_is_refused_by_name() -> None:
+    assert precision("32-true") == "32-true" and precision("auto") in ("32-true", "bf16-mixed")
+    with pytest.raises(UserError, match="precision: got 'half', expected one of: 16-mixed"):
+        precision("half")
