@@ -119,7 +119,7 @@ def test_training_without_a_replay_buffer_says_what_to_add(tmp_path: Path) -> No
 def test_balanced_poses_look_at_the_object() -> None:
     room = tiny_room()
     bed = np.array(room.of_category("bed")[0].box.centre[:2])
-    poses = BalancedPoses("bed", share=1.0, distance=9.0, spread=0.1)(room, 20, np.random.default_rng(0))
+    poses = BalancedPoses(["bed"], share=1.0, distance=9.0, spread=0.1)(room, 20, np.random.default_rng(0))
     for pose in poses:
         ahead = pose.to_robot(bed[None])[0]
         assert ahead[0] > 0 and abs(np.arctan2(ahead[1], ahead[0])) <= 0.1 + 1e-9
