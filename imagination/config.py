@@ -54,6 +54,8 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.learning_rate": (0.0, 10.0, ""),
     "scale.final_learning_rate": (0.0, 10.0, ""),
     "scale.unit_width": (1, 1024, "channels"),
+    "scale.height_jitter": (0.0, 0.5, ""),
+    "scale.mirrored_share": (0.0, 1.0, ""),
     "scale.encoder_shrink": (1, 64, ""),
     "scale.viewpoint_sets": (1, 10_000, ""),
     "scale.orientations": (1, 1000, ""),

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from lightning import Callback, LightningModule, Trainer
 
+from imagination.data.augmentation import mirrored
 from imagination.data.batches import Batch
 from imagination.data.datamodule import SceneData
 from imagination.data.replay_buffer import ReplayBuffer
@@ -25,6 +26,7 @@ class ReplayBufferCallback(Callback):
         update_batches: batches trained on in a round.
         aggregation_factor: share of a batch from older views, the rest from the newest collection.
         prefill_steps: collection steps before the first round, a multiple of `update_interval`.
+        mirrored_share: of the views in batches, seen in a mirror.
     """
 
     def __init__(
@@ -34,6 +36,7 @@ class ReplayBufferCallback(Callback):
         update_batches: int,
         aggregation_factor: float,
         prefill_steps: int,
+        mirrored_share: float,
     ) -> None:
         self.buffer = ReplayBuffer(size, aggregation_factor)
         self.update_interval = int(
@@ -45,6 +48,7 @@ class ReplayBufferCallback(Callback):
                 f"prefill_steps: got {prefill_steps}, expected a multiple of update_interval = {self.update_interval}"
             )
         self.prefill = prefill_steps // self.update_interval
+        self.mirrored_share = check_range("mirrored_share", mirrored_share, 0.0, 1.0)
         self._resident = 0  # collections that this process has inserted or passed over as too old
         self._started: dict[int, Callable[[], Views]] = {}
 
@@ -94,5 +98,7 @@ class _Rounds:
     def __iter__(self) -> Iterator[Batch]:
         for number in range(len(self)):
             seed = [self.data.seed, Stream.BATCHES, self.trainer.current_epoch, number]
-            views = self.callback.buffer.draw(self.data.batch_size, np.random.default_rng(seed))
-            yield self.data.assemble(views)
+            rng = np.random.default_rng(seed)
+            views = self.callback.buffer.draw(self.data.batch_size, rng)
+            which = rng.random(self.data.batch_size) < self.callback.mirrored_share
+            yield self.data.assemble(mirrored(views, which))

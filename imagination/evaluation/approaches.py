@@ -35,10 +35,17 @@ class Setting(NamedTuple):
 
 
 class Statement(NamedTuple):
-    """What views say: the values of cells, and which cells they have something to say about."""
+    """What views say.
+
+    Attributes:
+        values: of cells.
+        mask: cells that they have something to say about.
+        imagined: those of them that they did not see; None if they saw all.
+    """
 
     values: Float32[np.ndarray, "n c v v"]
     mask: Bool[np.ndarray, "n c v v"]
+    imagined: Bool[np.ndarray, "n c v v"] | None = None
 
 
 @runtime_checkable
@@ -123,7 +130,7 @@ class ValidPrediction:
         seen = views["seen"][:, None]
         epsilon = kernel_cells(self.kernel, setting.ego.resolution)
         valid = neighbourhood(probabilities >= self.threshold, seen, epsilon)
-        return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen)
+        return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen, valid & ~seen)
 
 
 @dataclass(frozen=True)

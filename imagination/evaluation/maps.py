@@ -83,6 +83,7 @@ def score_maps(
         mapper = Mapper(grid, setting.ego, setting.categories, approach.rule)
         for index in order.tolist():
             pose = Pose(*views["pose"][index].tolist())
-            mapper.register(statement.values[index], statement.mask[index], pose)
+            imagined = None if statement.imagined is None else statement.imagined[index]
+            mapper.register(statement.values[index], statement.mask[index], pose, imagined)
         by_key[approach.map_key] = mapper.probabilities
     return {name: by_key[approach.map_key] for name, approach in approaches.items()}

@@ -15,11 +15,14 @@ from imagination.geometry.pose import Pose
 from imagination.mapping.registration import Rule
 
 BYTES_PER_CELL = 8
-"""A probability (float32) and the number of views that wrote the cell (int32)."""
+"""A probability (float32) and the number of views that wrote the cell (int32), negative while it was only imagined."""
 
 
 class Mapper:
     """A global map of probabilities, one layer for each category, that grows by registered views.
+
+    The first view that writes a cell is taken whole, and so is the first that sees one which was only imagined before:
+    by the rule alone, a wrong guess would outweigh what is seen afterwards (docs/conventions.md has the figures).
 
     A view changes only the cells of its own window, pulled by inverse mapping (values bilinear, masks nearest), so
     its cost depends on the egocentric map's size, never on the global map's.
@@ -66,7 +69,8 @@ class Mapper:
             np.empty(most, np.int64),  # flat index of each cell that a view touches
             np.empty(most, np.float32),  # its value in the view
             np.empty(most, np.float32),  # its value in the map
-            np.empty(most, np.int32),  # views that wrote it before
+            np.empty(most, np.int32),  # its count, see BYTES_PER_CELL
+            np.empty(most, np.bool_),  # the view imagines it, without seeing it
         )
         self.reset()
 
@@ -84,10 +88,14 @@ class Mapper:
     @property
     def written(self) -> Bool[np.ndarray, "c h w"]:
         """Cells that a view has written."""
-        return self._count > 0
+        return np.not_equal(self._count, 0)
 
     def register(
-        self, values: Float32[np.ndarray, "c v v"], mask: Bool[np.ndarray, "c v v"], pose: Pose
+        self,
+        values: Float32[np.ndarray, "c v v"],
+        mask: Bool[np.ndarray, "c v v"],
+        pose: Pose,
+        imagined: Bool[np.ndarray, "c v v"] | None = None,
     ) -> None:
         """Let one view have its say.
 
@@ -95,24 +103,26 @@ class Mapper:
             values: probabilities, 0 to 1.
             mask: cells about which the view has something to say; others stay as they are.
             pose: of the robot, from which the view was taken.
+            imagined: cells that the view has not seen; None if it saw all of `mask`.
 
         Raises:
             UserError: on wrong shapes or types, values that are not probabilities, or a pose that is not finite. The
                 map stays as it was.
         """
-        self._check(values, mask)
+        imagined = np.zeros_like(mask) if imagined is None else imagined
+        self._check(values, mask, imagined)
         to_grid = ego_to_grid(self.ego, self.grid, pose)
         window = _window(to_grid, self.ego, self.grid)
         layers = self._probabilities.reshape(-1), self._count.reshape(-1)
-        n = _pull(
-            values, mask, cv2.invertAffineTransform(to_grid), window, self.grid.shape, *layers, *self._touched
-        )
-        touched, new, old, count = (array[:n] for array in self._touched)
-        _push(*layers, touched, new, self.rule(old, new, count))
+        to_ego = cv2.invertAffineTransform(to_grid)
+        n = _pull(values, mask, imagined, to_ego, window, self.grid.shape, *layers, *self._touched)
+        touched, new, old, count, guessed = (array[:n] for array in self._touched)
+        _push(*layers, touched, new, self.rule(old, new, np.abs(count)), guessed)
 
-    def _check(self, values: np.ndarray, mask: np.ndarray) -> None:
+    def _check(self, values: np.ndarray, mask: np.ndarray, imagined: np.ndarray) -> None:
         shape = len(self.categories), self.ego.cells, self.ego.cells
-        for name, array, dtype in (("values", values, np.float32), ("mask", mask, np.bool_)):
+        given = (("values", values, np.float32), ("mask", mask, np.bool_), ("imagined", imagined, np.bool_))
+        for name, array, dtype in given:
             if array.shape != shape or array.dtype != dtype:
                 wanted = np.dtype(dtype).name
                 raise UserError(
@@ -143,6 +153,7 @@ def _window(to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid, grid: Grid) -> tu
 def _pull(
     values: Float32[np.ndarray, "c v v"],
     mask: Bool[np.ndarray, "c v v"],
+    imagined: Bool[np.ndarray, "c v v"],
     to_ego: Float64[np.ndarray, "2 3"],
     window: tuple[int, int, int, int],
     shape: tuple[int, int],
@@ -152,8 +163,9 @@ def _pull(
     new: Float32[np.ndarray, " n"],
     old: Float32[np.ndarray, " n"],
     count: Int32[np.ndarray, " n"],
+    guessed: Bool[np.ndarray, " n"],
 ) -> int:
-    """List the cells that the view touches: flat index, value in the view, in the map, writes; returns how many.
+    """List the cells that the view touches: index, value in the view, in the map, count, unseen; returns how many.
 
     The mask comes from the nearest egocentric cell, the value from the four nearest; beyond the rim the rim goes on.
     """
@@ -179,6 +191,7 @@ def _pull(
                     cell = (k * shape[0] + row) * shape[1] + column
                     touched[n], old[n], count[n] = cell, probabilities[cell], counts[cell]
                     new[n] = upper + down_share * (lower - upper)
+                    guessed[n] = imagined[k, nearest_r, nearest_c]
                     n += 1
     return n
 
@@ -190,9 +203,15 @@ def _push(
     touched: Int64[np.ndarray, " n"],
     new: Float32[np.ndarray, " n"],
     merged: Float32[np.ndarray, " n"],
+    guessed: Bool[np.ndarray, " n"],
 ) -> None:
-    """Write merged values, or new ones whole where nothing was written before, and count the write."""
+    """Write merged values, or new ones whole where nothing was written, or only imagined and now seen; count."""
     for n in range(touched.size):
         cell = touched[n]
-        probabilities[cell] = merged[n] if counts[cell] > 0 else new[n]
-        counts[cell] += 1
+        count = counts[cell]
+        first_sighting = not guessed[n] and count <= 0
+        probabilities[cell] = new[n] if first_sighting or count == 0 else merged[n]
+        if first_sighting:
+            counts[cell] = 1
+        else:
+            counts[cell] = count + 1 if count > 0 else count - 1

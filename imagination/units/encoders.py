@@ -31,8 +31,8 @@ class TimmEncoder(nn.Module):
         channels: of the feature map.
 
     Raises:
-        UserError: if the images cannot be shrunk so, timm has no such model, it offers no feature maps or cannot take images of this size, or its
-            weights cannot be had.
+        UserError: if the images cannot be shrunk so, timm has no such model, it offers no feature maps or cannot
+            take images of this size, or its weights cannot be had.
     """
 
     mean: Tensor
