@@ -125,6 +125,9 @@ def mistakes_told() -> Iterator[None]:
     """
     try:
         yield
+    except KeyboardInterrupt:  # before a command has anything that could go on
+        print("Interrupted", file=sys.stderr)
+        sys.exit(130)
     except Exception as error:
         if (message := explain(error)) is None:
             raise

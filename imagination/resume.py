@@ -14,7 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from imagination import runs
-from imagination.config import check_targets, validate
+from imagination.config import check_targets, explain, validate
 from imagination.errors import UserError
 
 log = logging.getLogger(__name__)
@@ -26,6 +26,10 @@ WHERE_AND_HOW = ("paths", "cache", "callbacks", "trainer", "logger", "ckpt_path"
 """Nodes that say where and how a run runs, not what it trains: a checkpoint leaves overrides of them out."""
 
 
+END = "...\n"
+"""Last line of a run's composed config, YAML's mark of a document's end: without it the file was cut."""
+
+
 class Run(NamedTuple):
     """A run that this process holds.
 
@@ -33,11 +37,13 @@ class Run(NamedTuple):
         folder: its own.
         config: composed, with `paths.run` set.
         checkpoint: to go on from; None to begin.
+        before: name of the folder that `latest` pointed to before this run began.
     """
 
     folder: Path
     config: DictConfig
     checkpoint: Path | None
+    before: str | None = None
 
 
 @contextmanager
@@ -52,8 +58,10 @@ def opened(config: DictConfig) -> Iterator[Run]:
         run = _go_on(folder, config) if config.resume or config.ckpt_path else _begin(folder, config)
         try:
             yield run
-        except Exception:
+        except Exception as error:
             log.error("The run failed", exc_info=True, extra=runs.FILE_ONLY)
+            if explain(error) and not (folder / runs.LAST).is_file():  # refused: nothing to go on with
+                runs.take_back_latest(folder, run.before)
             raise
         except (KeyboardInterrupt, SystemExit) as stop:
             if not _pressed(stop):
@@ -79,11 +87,10 @@ def _new(config: DictConfig) -> Path:
 def _begin(folder: Path, config: DictConfig) -> Run:
     config.paths.run = str(folder)
     config.choices = choices()
-    runs.write_text(folder / runs.COMPOSED, OmegaConf.to_yaml(config))
+    runs.write_text(folder / runs.COMPOSED, OmegaConf.to_yaml(config) + END)
     runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
-    if HydraConfig.get().mode != RunMode.MULTIRUN:
-        runs.point_latest(folder)
-    return Run(folder, config, None)
+    alone = HydraConfig.get().mode != RunMode.MULTIRUN
+    return Run(folder, config, None, runs.point_latest(folder) if alone else None)
 
 
 def choices() -> list[str]:
@@ -124,6 +131,7 @@ def _go_on(folder: Path, config: DictConfig) -> Run:
             f"resume: got {' '.join(refused)}, but a run goes on with its own config; only "
             f"{', '.join(MAY_CHANGE)} may change"
         )
+    runs.remove_parts(folder)
     saved = _read(folder / runs.COMPOSED)
     if "experiment" in HydraConfig.get().runtime.choices and config.name != saved.name:
         raise UserError(
@@ -136,14 +144,17 @@ def _go_on(folder: Path, config: DictConfig) -> Run:
     checkpoint = Path(config.ckpt_path) if config.ckpt_path else folder / runs.LAST
     if not checkpoint.is_file():
         log.warning("%s: no round was finished, so the run begins anew with its own config", folder)
-        return Run(folder, saved, None)
-    return Run(folder, saved, checkpoint)
+        return Run(folder, saved, None, folder.name)
+    return Run(folder, saved, checkpoint, folder.name)
 
 
 def _read(path: Path) -> DictConfig:
     """A run's composed config, checked."""
     try:
-        saved = OmegaConf.load(path)
+        text = path.read_text()
+        if not text.endswith(END):
+            raise UserError(f"config {path}: is truncated, its last line is not {END.strip()!r}; start a new run")
+        saved = OmegaConf.create(text)
         assert isinstance(saved, DictConfig)
         OmegaConf.set_struct(saved, True)
         validate(saved)

@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 
 from imagination import runs
 from imagination.config import command
-from imagination.errors import check_choice
+from imagination.errors import UserError, check_choice
 from imagination.progress import stage
 from imagination.resume import Run, opened
 from imagination.summary import egocentric, record_hyperparameters, summary
@@ -38,7 +38,7 @@ def main(config: DictConfig) -> None:
 
 def train(run: Run) -> Trainer:
     """Build everything that the config names, fit, evaluate on homes that training never saw."""
-    model, data, trainer = build(run.config)
+    model, data, trainer = build(run)
     try:
         with stage("homes and truth"):
             data.setup("fit")
@@ -54,13 +54,17 @@ def train(run: Run) -> Trainer:
     return trainer
 
 
-def build(config: DictConfig) -> tuple[LightningModule, SceneData, Trainer]:
+def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
     """Model, data and trainer with its callbacks and logger."""
     from hydra.utils import instantiate
     from lightning import seed_everything
 
-    from imagination.checkpoints import CheckpointFiles, ConfigInCheckpoint
+    from imagination.checkpoints import CheckpointFiles, ConfigInCheckpoint, read_state
 
+    config = run.config
+    check_accelerator(config.trainer.accelerator)
+    if run.checkpoint and "purge_step" in config.logger:
+        config.logger.purge_step = read_state(run.checkpoint)["global_step"]
     quiet_lightning()
     seed_everything(config.seed, verbose=False)
     model = instantiate(config.model.module)
@@ -83,6 +87,24 @@ def quiet_lightning() -> None:
     warnings.filterwarnings(
         "ignore", message="Checkpoint directory .* exists and is not empty"
     )  # as it should on resume
+
+
+def check_accelerator(asked: str) -> None:
+    """Check that this machine has the accelerator that the trainer is to use.
+
+    Raises:
+        UserError: if it has not.
+    """
+    from lightning.pytorch.accelerators import AcceleratorRegistry
+
+    known = {name: AcceleratorRegistry[name]["accelerator"] for name in AcceleratorRegistry}
+    usable = {name for name, accelerator in known.items() if accelerator.is_available()}
+    usable |= {"auto", *(["gpu"] if usable & {"cuda", "mps"} else [])}
+    if asked not in usable:
+        raise UserError(
+            f"trainer.accelerator: got {asked!r}, expected one that this machine has: {', '.join(sorted(usable))}; "
+            "auto takes a GPU where PyTorch sees one"
+        )
 
 
 def precision(asked: str) -> str:
