@@ -31,6 +31,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "kernels.neighbourhood": (0.005, 10.0, "m"),
     "kernels.truth": (0.005, 10.0, "m"),
     "robot.radius": (0.0, 2.0, "m"),
+    "cache.max_gigabytes": (0.001, 1_000_000.0, "GB"),
     "scale.resolution": (0.005, 1.0, "m"),
     "scale.ego_extent": (0.5, 100.0, "m"),
     "scale.world_extent": (1.0, 10_000.0, "m"),

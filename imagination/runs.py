@@ -111,7 +111,7 @@ class BusyError(UserError):
 
 @contextmanager
 def locked(folder: Path, name: str = ".lock") -> Iterator[None]:
-    """Hold a run folder, or a file in it that stands for something else; the lock goes with the process, however it ends.
+    """Hold a run folder, by a file in it; the lock goes with the process, however it ends.
 
     Raises:
         BusyError: if another process holds it.

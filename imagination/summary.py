@@ -42,7 +42,7 @@ def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
     for logger in trainer.loggers:
         if isinstance(logger, TensorBoardLogger):  # whose own log_hyperparams would log the figures a second time
             with SummaryWriter(logger.log_dir) as writer:
-                for part in hparams(settings, figures):
+                for part in hparams(settings, figures):  # type: ignore[no-untyped-call]
                     writer.file_writer.add_summary(part)
 
 

@@ -1,5 +1,6 @@
 """The learning rate over the rounds."""
 
+from torch import Tensor
 from torch.optim.lr_scheduler import CosineAnnealingLR
 
 
@@ -9,7 +10,7 @@ class CosineAnnealing(CosineAnnealingLR):
     PyTorch's own rises again after T_max.
     """
 
-    def get_lr(self) -> list[float]:
+    def get_lr(self) -> list[float | Tensor]:
         if self.last_epoch > self.T_max:
-            return [float(group["lr"]) for group in self.optimizer.param_groups]
-        return [float(rate) for rate in super().get_lr()]
+            return [group["lr"] for group in self.optimizer.param_groups]
+        return super().get_lr()
