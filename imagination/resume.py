@@ -22,7 +22,10 @@ log = logging.getLogger(__name__)
 MAY_CHANGE = ("trainer.max_epochs", "trainer.accelerator", "trainer.devices", "paths.")
 """What may be overridden when a run goes on; all else is the run's own."""
 
-WHERE_AND_HOW = ("paths", "cache", "callbacks", "trainer", "logger", "ckpt_path", "resume", "hydra")
+WHERE_AND_HOW = (
+    *("paths", "cache", "callbacks", "trainer", "logger", "ckpt_path", "resume", "hydra"),
+    *("sweep", "sweep_dir", "hparams_search"),
+)
 """Nodes that say where and how a run runs, not what it trains: a checkpoint leaves overrides of them out."""
 
 
@@ -53,9 +56,13 @@ def opened(config: DictConfig) -> Iterator[Run]:
     Raises:
         UserError: if there is nothing to go on with, or it may not be changed like this.
     """
-    folder = _existing(config) if config.resume or config.ckpt_path else _new(config)
+    again = config.resume or config.ckpt_path
+    folder = _existing(config) if again else _new(config)
     with runs.locked(folder), runs.logging_to(folder / "run.log"):
-        run = _go_on(folder, config) if config.resume or config.ckpt_path else _begin(folder, config)
+        if again:
+            _check_changes(config)
+        going_on = again or (folder / runs.COMPOSED).is_file()  # of a sweep's member that has not ended
+        run = _go_on(folder, config) if going_on else _begin(folder, config)
         try:
             yield run
         except Exception as error:
@@ -67,7 +74,9 @@ def opened(config: DictConfig) -> Iterator[Run]:
             if not _pressed(stop):
                 raise
             last = folder / runs.LAST
-            if last.is_file():
+            if HydraConfig.get().mode == RunMode.MULTIRUN:
+                log.warning("Interrupted")
+            elif last.is_file():
                 log.warning("Interrupted. Go on with: python -m imagination.train ckpt_path=%s", last)
             else:
                 log.warning("Interrupted before a round was finished; start again with the same arguments")
@@ -75,12 +84,15 @@ def opened(config: DictConfig) -> Iterator[Run]:
 
 
 def _new(config: DictConfig) -> Path:
-    """A new run's folder: of a sweep's member inside the sweep's, else outputs/<name>/<date_time>."""
-    config.paths.run = "."
+    """A new run's folder, outputs/<name>/<date_time>; that of a sweep's member is given, and may be there already."""
+    member = HydraConfig.get().mode == RunMode.MULTIRUN
+    config.paths.run = config.paths.run if member else "."
     OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # fails before there is a folder
-    hydra = HydraConfig.get()
-    if hydra.mode == RunMode.MULTIRUN:
-        return runs.create_folder(Path(hydra.sweep.dir), str(hydra.job.num))
+    if member:
+        folder = Path(config.paths.run)
+        with runs.write_errors_told(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        return folder
     return runs.create_folder(Path(config.paths.outputs) / config.name, runs.now())
 
 
@@ -122,8 +134,8 @@ def _existing(config: DictConfig) -> Path:
     return runs.find_latest(Path(config.paths.outputs), experiment)
 
 
-def _go_on(folder: Path, config: DictConfig) -> Run:
-    """The run in `folder` with its own config, and what may be changed of it."""
+def _check_changes(config: DictConfig) -> None:
+    """Refuse overrides that would make another run of one that goes on."""
     overrides = list(HydraConfig.get().overrides.task)
     allowed = ("resume=", "ckpt_path=", "experiment=", *MAY_CHANGE)
     if refused := [text for text in overrides if not text.lstrip("+").startswith(allowed)]:
@@ -131,12 +143,17 @@ def _go_on(folder: Path, config: DictConfig) -> Run:
             f"resume: got {' '.join(refused)}, but a run goes on with its own config; only "
             f"{', '.join(MAY_CHANGE)} may change"
         )
+
+
+def _go_on(folder: Path, config: DictConfig) -> Run:
+    """The run in `folder` with its own config, and what may be changed of it."""
     runs.remove_parts(folder)
     saved = _read(folder / runs.COMPOSED)
     if "experiment" in HydraConfig.get().runtime.choices and config.name != saved.name:
         raise UserError(
             f"resume: got the experiment {config.name!r}, but the run in {folder} is of {saved.name!r}"
         )
+    overrides = HydraConfig.get().overrides.task
     changes = [text.lstrip("+") for text in overrides if text.lstrip("+").startswith(MAY_CHANGE)]
     for key in (text.partition("=")[0] for text in changes):
         OmegaConf.update(saved, key, OmegaConf.select(config, key))

@@ -28,12 +28,13 @@ PRECISIONS = ("auto", "32-true", "64-true", "bf16-mixed", "bf16-true", "16-mixed
 
 
 @command("train")
-def main(config: DictConfig) -> None:
-    """The command."""
+def main(config: DictConfig) -> float | None:
+    """The command; a search maximises what it returns, the best egocentric IoU on validation homes."""
     with opened(config) as run:
         log.info("Run folder: %s\nWatch it: tensorboard --logdir %s", run.folder, run.folder.parent)
         trainer = train(run)
         log.info("%s\n%s", egocentric(run, trainer), summary(run, best(run)))
+        return best_score(trainer)
 
 
 def train(run: Run) -> Trainer:
@@ -126,6 +127,12 @@ def best(run: Run) -> Path | None:
     """The checkpoint to evaluate: the best one on validation homes; None, the weights in memory, if none was kept."""
     path = run.folder / runs.BEST
     return path if path.is_file() else None
+
+
+def best_score(trainer: Trainer) -> float | None:
+    """Of the checkpoint that was evaluated; None if none was kept."""
+    scores = [getattr(callback, "best_model_score", None) for callback in trainer.checkpoint_callbacks]
+    return next((float(score) for score in scores if score is not None), None)
 
 
 if __name__ == "__main__":
