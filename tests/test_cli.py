@@ -75,16 +75,6 @@ def test_a_mistake_found_later_is_told_as_shortly(command: Command, tmp_path: Pa
     assert "Traceback" in (tmp_path / "outputs" / "custom" / "latest" / "run.log").read_text()
 
 
-def test_a_sweep_has_a_folder_of_its_own(command: Command, tmp_path: Path) -> None:
-    done = command(
-        "train", "-m", "scale=test", "name=swept", "trainer.fast_dev_run=true", "seed=1,2", timeout=300
-    )
-    assert done.returncode == 0, done.stderr
-    members = list((tmp_path / "outputs" / "swept").glob("multirun_*/*/config.yaml"))
-    assert sorted(path.parent.name for path in members) == ["0", "1"]
-    assert not (tmp_path / "outputs" / "swept" / "latest").exists()
-
-
 def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     arguments = ["+experiment=chair_unet", "scale=test", "scale.rounds=10000", "scale.eval_every=10000"]
     with open(tmp_path / "told", "w") as told:
