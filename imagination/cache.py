@@ -179,7 +179,8 @@ def _write(path: Path, content: bytes) -> None:
 def _remove_if_stale(part: Path) -> None:
     with suppress(FileNotFoundError, BlockingIOError, PermissionError), open(part, "rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if time.time() - os.fstat(file.fileno()).st_mtime > STALE_SECONDS:  # else it may not have been locked yet
+        # one that was just made may not have been locked yet
+        if time.time() - os.fstat(file.fileno()).st_mtime > STALE_SECONDS:
             part.unlink()
 
 

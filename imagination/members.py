@@ -60,7 +60,9 @@ def read(sweep: Path) -> list[Member]:
         UserError: if the folder is not a sweep's.
     """
     if not (sweep / FILE).is_file():
-        raise UserError(f"sweep {sweep}: holds no {FILE}; expected the folder of a sweep (train or evaluate with -m)")
+        raise UserError(
+            f"sweep {sweep}: holds no {FILE}; expected the folder of a sweep (train or evaluate with -m)"
+        )
     return [
         member._replace(state="stopped") if member.state == "running" and not _held(sweep, member) else member
         for member in _load(sweep)

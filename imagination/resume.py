@@ -170,7 +170,9 @@ def _read(path: Path) -> DictConfig:
     try:
         text = path.read_text()
         if not text.endswith(END):
-            raise UserError(f"config {path}: is truncated, its last line is not {END.strip()!r}; start a new run")
+            raise UserError(
+                f"config {path}: is truncated, its last line is not {END.strip()!r}; start a new run"
+            )
         saved = OmegaConf.create(text)
         assert isinstance(saved, DictConfig)
         OmegaConf.set_struct(saved, True)

@@ -40,7 +40,8 @@ def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
         if name.startswith(("test/", "global/"))
     }
     for logger in trainer.loggers:
-        if isinstance(logger, TensorBoardLogger):  # whose own log_hyperparams would log the figures a second time
+        # its own log_hyperparams would log the figures a second time
+        if isinstance(logger, TensorBoardLogger):
             with SummaryWriter(logger.log_dir) as writer:
                 for part in hparams(settings, figures):  # type: ignore[no-untyped-call]
                     writer.file_writer.add_summary(part)

@@ -41,7 +41,9 @@ class Sweep(Callback):
         folder = Path(config.hydra.sweep.dir)
         every = members.read(folder)
         done = sum(member.state == "done" for member in every)
-        print(f"Sweep {folder}: {done} of {len(every)} members done ({folder / members.FILE})", file=sys.stderr)
+        print(
+            f"Sweep {folder}: {done} of {len(every)} members done ({folder / members.FILE})", file=sys.stderr
+        )
         failed = [member for member in every if member.state == "failed"]
         for member in failed:
             print(f"  {member.folder} failed ({member.overrides}): {member.problem}", file=sys.stderr)
@@ -59,7 +61,10 @@ def plan(hydra: DictConfig, config_name: str) -> None:
     Raises:
         UserError: if two members would train the same unit, and only evaluate it in another way.
     """
-    given = [*(f"{key}={value}" for key, value in (hydra.sweeper.params or {}).items()), *hydra.overrides.task]
+    given = [
+        *(f"{key}={value}" for key, value in (hydra.sweeper.params or {}).items()),
+        *hydra.overrides.task,
+    ]
     parsed = OverridesParser.create(GlobalHydra.instance().config_loader()).parse_overrides(given)
     trained: dict[str, str] = {}
     enrolments = []
@@ -106,7 +111,9 @@ def run_member(task: Callable[[DictConfig], float | None], config: DictConfig) -
         print(f"Member {member.folder} is left out: {error}", file=sys.stderr)
     except (KeyboardInterrupt, SystemExit):
         members.update(sweep, key, state="stopped")
-        print(f"The sweep was stopped; go on with the same command line and sweep_dir={sweep}", file=sys.stderr)
+        print(
+            f"The sweep was stopped; go on with the same command line and sweep_dir={sweep}", file=sys.stderr
+        )
         raise
     except Exception as error:
         problem = explain(error)

@@ -64,8 +64,8 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
 
     config = run.config
     check_accelerator(config.trainer.accelerator)
-    if run.checkpoint and "purge_step" in config.logger:
-        config.logger.purge_step = read_state(run.checkpoint)["global_step"]
+    if "purge_step" in config.logger:  # what a killed process logged after the checkpoint comes again
+        config.logger.purge_step = read_state(run.checkpoint)["global_step"] if run.checkpoint else 0
     quiet_lightning()
     seed_everything(config.seed, verbose=False)
     model = instantiate(config.model.module)

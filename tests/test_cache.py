@@ -181,7 +181,8 @@ def test_what_was_not_used_for_longest_makes_room(tmp_path: Path) -> None:
     assert kept(cache) == {0, 3, 4, 5}
     sized(Cache(tmp_path, max_gigabytes=0.00005), 6)  # too large by itself: the newest stays all the same
     assert kept(cache) == {6}
-    assert same(cache.get_or_build("views", {"number": 0}, lambda: ENTRY), ENTRY)  # removed ones are made again
+    removed = {"number": 0}
+    assert same(cache.get_or_build("views", removed, lambda: ENTRY), ENTRY)
 
 
 def test_processes_that_make_room_at_once_get_what_they_ask_for(tmp_path: Path) -> None:
@@ -191,7 +192,9 @@ def test_processes_that_make_room_at_once_get_what_they_ask_for(tmp_path: Path) 
     def use(worker: int) -> None:
         rng = np.random.default_rng(worker)
         for number in rng.integers(0, 12, 60).tolist():
-            got = cache.get_or_build("views", {"n": number}, lambda n=number: {"a": np.full(100_000, n, np.uint8)})
+            got = cache.get_or_build(
+                "views", {"n": number}, lambda n=number: {"a": np.full(100_000, n, np.uint8)}
+            )
             assert (got["a"] == number).all()
 
     with ThreadPoolExecutor(6) as pool:

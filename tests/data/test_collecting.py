@@ -82,7 +82,9 @@ def test_layers_follow_the_category_table(tmp_path: Path) -> None:
     views = data(tmp_path).collector(2).start(0)()
     assert not np.array_equal(views["object"][:, 0], views["object"][:, 1])
     everywhere = {**views, "seen": np.ones_like(views["seen"])}
-    label = data(tmp_path).assemble(everywhere)["label"]  # of an object that is all in view: the object itself
+    label = data(tmp_path).assemble(everywhere)[
+        "label"
+    ]  # of an object that is all in view: the object itself
     assert np.array_equal(label[:, 0].numpy().astype(bool), views["object"][:, TABLE.index("bed") - 1])
 
 
