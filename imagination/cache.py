@@ -118,13 +118,13 @@ class Cache:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             _write(path, content)
+            self._make_room(path)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 advice = "the disk is full; free some space, or set paths.cache to a folder elsewhere"
             else:
                 advice = f"{error.strerror}; set paths.cache to a folder that can be written"
             raise UserError(f"cache: cannot write {len(content)} bytes to {path}: {advice}") from error
-        self._make_room(path)
 
     def path(self, kind: str, key: Mapping[str, Any]) -> Path:
         """File of the entry, whether it exists or not."""

@@ -110,6 +110,7 @@ def new_folder(config: DictConfig, member: Path | None) -> Path:
         return runs.create_folder(Path(config.paths.outputs) / config.name, f"evaluate_{runs.now()}")
     with runs.write_errors_told(member):
         member.mkdir(parents=True, exist_ok=True)
+    runs.remove_parts(member)  # of an evaluation that was killed
     return member
 
 

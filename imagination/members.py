@@ -16,6 +16,7 @@ import hashlib
 import io
 import json
 import shlex
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -134,6 +135,8 @@ def _exclusively(sweep: Path) -> Iterator[None]:
     sweep.mkdir(parents=True, exist_ok=True)
     with open(sweep / ".members.lock", "a") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
+        for scratch in sweep.glob(f".{FILE}.*{runs.PART}"):  # of a process that was killed
+            shutil.rmtree(scratch)
         yield
 
 
