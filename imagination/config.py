@@ -13,9 +13,11 @@ from typing import Any
 import hydra
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
+from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -31,6 +33,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "kernels.neighbourhood": (0.005, 10.0, "m"),
     "kernels.truth": (0.005, 10.0, "m"),
     "robot.radius": (0.0, 2.0, "m"),
+    "cache.max_gigabytes": (0.001, 1_000_000.0, "GB"),
     "scale.resolution": (0.005, 1.0, "m"),
     "scale.ego_extent": (0.5, 100.0, "m"),
     "scale.world_extent": (1.0, 10_000.0, "m"),
@@ -65,6 +68,9 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
 }
 """What is checked before anything is built; builders check what they get as well. Whole bounds mean whole numbers."""
 
+EXTRAS: Mapping[str, str] = {"hydra/launcher/joblib": "joblib", "hydra/sweeper/optuna": "optuna"}
+"""Options that come with an extra of the project."""
+
 CELL_WIDTH = (0.1, 100.0, "m")
 
 TRUSTED = (
@@ -81,7 +87,8 @@ TRUSTED = (
 RESOLVER = re.compile(r"\$\{[\w.]+:")
 """A call inside a value, such as ${oc.decode:…}, which could make a target out of text."""
 
-Task = Callable[[DictConfig], None]
+Task = Callable[[DictConfig], float | None]
+"""What a command does; a figure that it returns is what a search maximises."""
 
 
 class _SearchPath(SearchPathPlugin):
@@ -100,10 +107,15 @@ def command(config_name: str) -> Callable[[Task], Callable[[], None]]:
 
     def decorate(task: Task) -> Callable[[], None]:
         @wraps(task)
-        def checked(config: DictConfig) -> None:
+        def checked(config: DictConfig) -> float | None:
+            if HydraConfig.get().mode == RunMode.MULTIRUN:
+                from imagination.sweep import run_member  # which imports this module
+
+                return run_member(task, config)
             with mistakes_told():
                 validate(config)
-                task(config)
+                return task(config)
+            raise AssertionError("unreachable: mistakes end the program")
 
         def main() -> None:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then passes errors on instead of ending the program
@@ -129,6 +141,9 @@ def mistakes_told() -> Iterator[None]:
     """
     try:
         yield
+    except KeyboardInterrupt:  # before a command has anything that could go on
+        print("Interrupted", file=sys.stderr)
+        sys.exit(130)
     except Exception as error:
         if (message := explain(error)) is None:
             raise
@@ -156,7 +171,9 @@ def explain(error: BaseException) -> str | None:
     if any(not isinstance(cause, (HydraException, OmegaConfBaseException, ImportError)) for cause in causes):
         return None
     texts = dict.fromkeys(str(cause).partition("\nConfig search path")[0].strip() for cause in causes)
-    return "\n".join(text for text in texts if not any(text in other for other in texts if other != text))
+    told = "\n".join(text for text in texts if not any(text in other for other in texts if other != text))
+    missing = [extra for option, extra in EXTRAS.items() if f"'{option}'" in told]
+    return "\n".join([told, *(f"Install it: pip install 'imagination[{extra}]'" for extra in missing)])
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -38,11 +37,12 @@ def main(config: DictConfig) -> None:
         )
     from imagination.checkpoints import Checkpoint  # with it comes torch, which --help does without
 
+    member = None if OmegaConf.is_missing(config.paths, "run") else Path(config.paths.run)
     paths = [config.ckpt] if isinstance(config.ckpt, str) else list(config.ckpt)
     checkpoints = [Checkpoint.read(path) for path in paths]
     config = configured(checkpoints, list(HydraConfig.get().overrides.task))
     protocol = instantiate(config.evaluation)  # refuses what is out of range before anything is written
-    folder = new_folder(config)
+    folder = new_folder(config, member)
     config.paths.run = str(folder)
     with runs.logging_to(folder / "run.log"):
         runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
@@ -104,13 +104,14 @@ def _key(override: str) -> str:
     return override.lstrip("+~").partition("=")[0]
 
 
-def new_folder(config: DictConfig) -> Path:
-    """A folder for the results: outputs/<name>/evaluate_<date_time>, or a numbered one in that of the sweep."""
-    hydra = HydraConfig.get()
-    parent = Path(config.paths.outputs) / config.name
-    if hydra.mode == RunMode.MULTIRUN:
-        return runs.create_folder(parent / Path(hydra.sweep.dir).name, str(hydra.job.num))
-    return runs.create_folder(parent, f"evaluate_{runs.now()}")
+def new_folder(config: DictConfig, member: Path | None) -> Path:
+    """A folder for the results: outputs/<name>/evaluate_<date_time>, or that of a sweep's member."""
+    if member is None:
+        return runs.create_folder(Path(config.paths.outputs) / config.name, f"evaluate_{runs.now()}")
+    with runs.write_errors_told(member):
+        member.mkdir(parents=True, exist_ok=True)
+    runs.remove_parts(member)  # of an evaluation that was killed
+    return member
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Ground truth of a scene as arrays and pictures: `python -m imagination.render scene=test_0000`."""
 
 import logging
+import sys
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -41,6 +42,15 @@ def main(config: DictConfig) -> None:
     split = cast(Split, check_choice("split", config.split, SPLITS))
     name = config.scene or observer.source.scenes(split)[0]
     folder = Path(config.folder) / name
+    try:
+        draw(config, observer, name, folder)
+    except KeyboardInterrupt:
+        print(f"Interrupted; not all files of {folder}/ are written. Start again.", file=sys.stderr)
+        sys.exit(130)
+
+
+def draw(config: DictConfig, observer: Observer, name: str, folder: Path) -> None:
+    """Write everything about one scene."""
     scene, truth = observer.scene(name), observer.truth(name)
     folder.mkdir(parents=True, exist_ok=True)
     with runs.logging_to(folder / "render.log"):

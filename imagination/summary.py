@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import resource
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
@@ -19,17 +20,40 @@ if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does wit
 REGIONS = {"all": "", "seen": "_seen", "unseen": "_unseen"}
 """Cells of the egocentric map, and the ending of their scores' names."""
 
+SETTINGS = ("name", "seed", "unit_categories", "scale", "kernels", "aggregation_factor", "model", "mapping")
+"""Nodes of the config that TensorBoard shows as hyperparameters."""
+
 
 def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
-    """Show the run's settings beside its final figures in TensorBoard."""
+    """Show the run's settings beside its final figures in TensorBoard's HParams tab."""
+    from lightning.pytorch.loggers import TensorBoardLogger
+    from torch.utils.tensorboard import SummaryWriter
+    from torch.utils.tensorboard.summary import hparams
+
     from imagination.checkpoints import plain_values
 
     values = plain_values(config)
-    nodes = ("name", "seed", "unit_categories", "scale", "kernels", "aggregation_factor", "model", "mapping")
-    figures = {name: float(value) for name, value in trainer.callback_metrics.items()}
-    if trainer.logger is not None:
-        trainer.logger.log_hyperparams({node: values[node] for node in nodes}, figures)
-        trainer.logger.save()
+    settings = {key: value for node in SETTINGS for key, value in _flat(node, values[node])}
+    figures = {
+        name: float(value)
+        for name, value in trainer.callback_metrics.items()
+        if name.startswith(("test/", "global/"))
+    }
+    for logger in trainer.loggers:
+        # its own log_hyperparams would log the figures a second time
+        if isinstance(logger, TensorBoardLogger):
+            with SummaryWriter(logger.log_dir) as writer:
+                for part in hparams(settings, figures):  # type: ignore[no-untyped-call]
+                    writer.file_writer.add_summary(part)
+
+
+def _flat(name: str, node: Any) -> Iterator[tuple[str, Any]]:
+    """Names and values of a tree's leaves; lists count as text."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield from _flat(f"{name}.{key}", value)
+    else:
+        yield name, str(node) if isinstance(node, list) else node
 
 
 def egocentric(run: Run, trainer: Trainer) -> str:

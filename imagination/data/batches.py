@@ -8,11 +8,11 @@ from imagination.ground_truth.label import label, neighbourhood
 from imagination.views.collector import Views
 
 Batch = dict[str, Tensor]
-"""rgb u8 [b 3 h w]; depth f16 [b 1 h w]; occupied, seen u8 [b 1 v v]; object, label, neighbourhood u8 [b c v v]."""
+"""rgb u8 [b 3 h w]; depth f16 [b 1 h w]; occupied, seen u8 [b 1 v v]; label, neighbourhood u8 [b c v v]."""
 
 
 def assemble(views: Views, layers: list[int], imaginable: int, neighbour: int) -> Batch:
-    """Make a batch: the truth crop V_object of the unit's categories, its label V_label and M*_seen.
+    """Make a batch: what a unit is given, and of its categories the label V_label and M*_seen.
 
     Args:
         views: stacked views.
@@ -23,7 +23,6 @@ def assemble(views: Views, layers: list[int], imaginable: int, neighbour: int) -
     target = views["object"][:, layers]
     seen = views["seen"][:, None]
     maps = {
-        "object": target,
         "label": label(target, seen, imaginable),
         "neighbourhood": neighbourhood(target, seen, neighbour),
     }
