@@ -1,5 +1,6 @@
 """The written report of an evaluation: its tables as files, and beside them what a reader must know about them."""
 
+import json
 from collections.abc import Mapping
 from math import degrees, isinf
 from pathlib import Path
@@ -13,6 +14,9 @@ from imagination.evaluation.metrics import CONFIDENCE
 from imagination.evaluation.outcome import Report
 from imagination.evaluation.protocol import MappingProtocol
 from imagination.runs import write_text
+
+PROVENANCE = "provenance.json"
+"""In tables/: where the numbers come from."""
 
 
 class Provenance(NamedTuple):
@@ -36,9 +40,10 @@ class Provenance(NamedTuple):
 def write(
     folder: Path, report: Report, protocol: MappingProtocol, resolution: float, origin: Provenance
 ) -> None:
-    """Write mapping.csv, paired.csv, runs.csv and mapping.md into `folder`, each whole or not at all."""
+    """Write mapping.csv, paired.csv, runs.csv, mapping.md and provenance.json into `folder`, each whole or not at all."""
     mapping = tables.mapping_rows(report, protocol, resolution)
     paired = tables.paired_rows(report, protocol)
+    write_text(folder / PROVENANCE, json.dumps(origin._asdict(), indent=1) + "\n")
     write_text(folder / "mapping.csv", tables.to_csv(mapping))
     write_text(folder / "paired.csv", tables.to_csv(paired))
     write_text(folder / "runs.csv", tables.to_csv(tables.run_rows(report)))

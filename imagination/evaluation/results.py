@@ -13,7 +13,7 @@ import torch
 from rich.console import Console
 
 from imagination.data.datamodule import SceneData
-from imagination.evaluation import figures, report, tables
+from imagination.evaluation import figures, report, single_views, tables
 from imagination.evaluation.approaches import Setting
 from imagination.evaluation.outcome import Report
 from imagination.evaluation.prediction import Model, Predictor
@@ -54,6 +54,9 @@ def evaluate(protocol: MappingProtocol, data: SceneData, models: Sequence[Model]
     subject = subject_of(data, models)
     choices = protocol.choose(subject, data.observer.source.scenes("val"))
     found = protocol.measure(subject, data.observer.source.scenes("test"), choices)
+    singles = single_views.measure(
+        protocol, subject, data.observer.source.scenes("test"), choices, data.imaginable
+    )
     resolution = subject.setting.ego.resolution
     origin = report.Provenance(
         command_line(),
@@ -63,6 +66,7 @@ def evaluate(protocol: MappingProtocol, data: SceneData, models: Sequence[Model]
         report.declared_sensor(subject.setting, protocol.approaches),
     )
     report.write(folder / "tables", found, protocol, resolution, origin)
+    single_views.write(folder, singles)
     rows = tables.mapping_rows(found, protocol, resolution)
     figures.write(folder / "figures", found, rows)
     screen = Console()
