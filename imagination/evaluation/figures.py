@@ -87,7 +87,7 @@ def draw_poses(
     reach = 0.5 / grid.resolution
     axis.quiver(
         cells[:, 1], cells[:, 0], reach * np.cos(poses[:, 2]), -reach * np.sin(poses[:, 2]),
-        color="#cc3377", angles="xy", scale_units="xy", scale=1, width=0.009, headwidth=4, headlength=4,
+        color="#cc3377", angles="xy", scale_units="xy", scale=1, width=0.006, headwidth=4, headlength=4,
     )  # fmt: skip
     axis.plot(cells[:, 1], cells[:, 0], "o", color="#cc3377", markersize=2.5)
 

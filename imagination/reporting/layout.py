@@ -98,7 +98,7 @@ def _with_paper(
     results: Results, columns: list[Column], measure: str, published: paper.Numbers
 ) -> list[tuple[str, list[Line]]]:
     ours = [
-        Line(label(name), [_cell(results, Key(name, at.category, at.cell_width), measure) for at in columns])
+        Line(label(name), [cell_of(results, Key(name, at.category, at.cell_width), measure) for at in columns])
         for name in results.approaches
     ]
     names = [name for name in results.approaches if any((name, *at) in published for at in columns)]
@@ -106,23 +106,24 @@ def _with_paper(
         Line(label(name), [_published(published.get((name, at.cell_width, at.category))) for at in columns])
         for name in names
     ]
-    blocks = [(f"Ours, on {results.source}", _strengthened(results.approaches, ours))]
-    return [*blocks, (paper.SOURCE, _strengthened(names, theirs))] if theirs else blocks
+    blocks = [(f"Ours, on {results.source}", strengthened(results.approaches, ours))]
+    return [*blocks, (paper.SOURCE, strengthened(names, theirs))] if theirs else blocks
 
 
 def _published(value: float | None) -> Cell | None:
     return None if value is None else Cell(value)
 
 
-def _cell(results: Results, key: Key, measure: str) -> Cell | None:
+def cell_of(results: Results, key: Key, measure: str) -> Cell | None:
+    """The measure of a row's runs with its interval; None where there is no such run."""
     runs = results.counts.get(key)
     if not runs:
         return None
-    samples, value = _bootstrap(results, runs, measure)
+    samples, value = bootstrap(results, runs, measure)
     return Cell(value, *interval(samples))
 
 
-def _bootstrap(results: Results, runs: Runs, measure: str) -> tuple[Float64[np.ndarray, " n"], float]:
+def bootstrap(results: Results, runs: Runs, measure: str) -> tuple[Float64[np.ndarray, " n"], float]:
     """The measure of each resample of homes, and of all of them."""
     counts = by_home(runs)
     draws = resample(len(counts), results.resamples, results.seed)
@@ -131,7 +132,7 @@ def _bootstrap(results: Results, runs: Runs, measure: str) -> tuple[Float64[np.n
     return samples, float(of(counts.sum(axis=(0, 1))[None])[0])
 
 
-def _strengthened(names: Sequence[str], lines: Sequence[Line]) -> list[Line]:
+def strengthened(names: Sequence[str], lines: Sequence[Line]) -> list[Line]:
     """Lines with the best value of each column in bold, among approaches that are not told the truth."""
     fair = [place for place, name in enumerate(names) if name not in WITH_TRUTH]
     changed = [list(line.cells) for line in lines]
@@ -170,8 +171,8 @@ def _difference(results: Results, other: str, columns: list[Column], measure: st
         if not both:
             cells.append(None)
             continue
-        samples, value = _bootstrap(results, {run: ours[run] for run in both}, measure)
-        other_samples, other_value = _bootstrap(results, {run: theirs[run] for run in both}, measure)
+        samples, value = bootstrap(results, {run: ours[run] for run in both}, measure)
+        other_samples, other_value = bootstrap(results, {run: theirs[run] for run in both}, measure)
         low, high = interval(samples - other_samples)
         cells.append(Cell(value - other_value, low, high, strong=low > 0 or high < 0))
     return Line(f"{label(REFERENCE)} − {label(other)}", cells)

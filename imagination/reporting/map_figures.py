@@ -53,8 +53,8 @@ def draw_typical(maps: Sequence[SavedMaps], category: str, cell_widths: Sequence
 
 
 def draw_viewpoints(maps: Sequence[SavedMaps], cell_widths: Sequence[float]) -> Figure:
-    """Two viewpoint sets of the widest cell width and one of the narrowest, on the map of one home."""
-    home = maps[0].run.home
+    """Two viewpoint sets of the widest cell width and one of the narrowest, on the map of the home with most."""
+    home = max(maps, key=lambda saved: len(saved.poses)).run.home
     wanted = [(max(cell_widths), 0), (max(cell_widths), 1), (min(cell_widths), 0)]
     by_run = {(saved.run.cell_width, saved.run.number): saved for saved in maps if saved.run.home == home}
     shown = [by_run[run] for run in wanted if run in by_run]
@@ -68,8 +68,10 @@ def draw_viewpoints(maps: Sequence[SavedMaps], cell_widths: Sequence[float]) -> 
         draw_poses(axis, saved.poses, saved.grid, window)
         draw_scale_bar(axis, saved.grid.resolution)
         points = len(np.unique(saved.poses[:, :2], axis=0))
-        axis.set_title(f"{home}, cell width {saved.run.cell_width:g} m, set {saved.run.number}")
-        axis.set_xlabel(f"{points} viewpoints, {len(saved.poses)} views")
+        axis.set_title(
+            f"{home}, cell width {saved.run.cell_width:g} m, set {saved.run.number}\n"
+            f"viewpoints: {points}, views: {len(saved.poses)}"
+        )
         bare(axis)
     draw_legend(figure, {"occupied": OCCUPIED})
     return figure

@@ -19,6 +19,7 @@ from imagination.evaluation.map_files import SavedMaps
 from imagination.evaluation.metrics import count
 from imagination.evaluation.outcome import Key
 from imagination.evaluation.report import PROVENANCE
+from imagination.evaluation.selection import THRESHOLDS
 from imagination.evaluation.single_views import SingleView
 from imagination.runs import CONFIG
 
@@ -28,6 +29,9 @@ Row = dict[str, str]
 
 Runs = dict[tuple[str, int], Int64[np.ndarray, "3"]]
 """Correct, false and truth pixels by home and viewpoint set."""
+
+Tally = Int64[np.ndarray, "t 3"]
+"""Correct, false and truth cells at thresholds .01, .02, … .99."""
 
 
 class Results:
@@ -101,6 +105,12 @@ class Results:
         """The single views to show and the metres per cell."""
         path = self.folder / single_views.FILE
         return (path.is_file() and self._tell(single_views.load, path)) or ([], self.resolution)
+
+    @cached_property
+    def view_tallies(self) -> dict[tuple[str, str, str], Tally]:
+        """Counts of single views at every threshold, by approach (or "network"), kind of cells and category."""
+        path = self.folder / "tables" / single_views.TABLE
+        return (path.is_file() and self._tell(read_tallies, path)) or {}
 
     @cached_property
     def provenance(self) -> dict[str, Any]:
@@ -181,6 +191,21 @@ def read_counts(path: Path) -> dict[Key, Runs]:
         pixels = [int(row[column]) for column in ("correct_pixels", "false_pixels", "truth_pixels")]
         counts.setdefault(key, {})[row["home"], int(row["viewpoint_set"])] = np.array(pixels, np.int64)
     return counts
+
+
+def read_tallies(path: Path) -> dict[tuple[str, str, str], Tally]:
+    """The counts in a thresholds.csv.
+
+    Raises:
+        ValueError: if a threshold is missing.
+    """
+    found: dict[tuple[str, str, str], list[list[int]]] = {}
+    for row in read_csv(path):
+        counts = [int(row[column]) for column in ("correct_cells", "false_cells", "truth_cells")]
+        found.setdefault((row["approach"], row["cells"], row["category"]), []).append(counts)
+    if any(len(rows) != len(THRESHOLDS) for rows in found.values()):
+        raise ValueError(f"expected {len(THRESHOLDS)} thresholds each")
+    return {key: np.array(rows, np.int64) for key, rows in found.items()}
 
 
 def recount(maps: Sequence[SavedMaps]) -> dict[Key, Runs]:

@@ -4,17 +4,14 @@ from collections.abc import Mapping, Sequence
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imagination.evaluation import style
 from imagination.evaluation.metrics import iou
 from imagination.evaluation.outcome import Key
-from imagination.reporting.results import Runs
-
-Tally = Int64[np.ndarray, "t 3"]
-"""Correct, false and truth cells at thresholds .01, .02, … .99."""
+from imagination.reporting.results import Runs, Tally
 
 BINS = 10
 """Of predicted probabilities, in a figure of reliability."""
@@ -23,6 +20,9 @@ CELLS = {"all": "all cells", "seen": "cells that depth saw", "unseen": "other ce
 """Kinds of cells, and how they are named."""
 
 CELL_COLOURS = {"all": "#777777", "seen": "#0072b2", "unseen": "#d55e00"}
+
+Point = tuple[str, float, float, float]
+"""What was swept, as text; the value, and its interval."""
 
 Curve = tuple[Sequence[float], Sequence[float]]
 """Steps or rounds, and values."""
@@ -153,6 +153,53 @@ def draw_curves(curves: Mapping[str, Curve], title: str, across: str, up: str) -
     if len(curves) > 1:
         _legend_below(figure, *axis.get_legend_handles_labels())
     return figure
+
+
+def draw_ablation(panels: Mapping[str, Mapping[str, Sequence[Point]]], across: str, up: str) -> Figure:
+    """One panel beside the other, with a line for each name: what came of what was swept, with intervals.
+
+    Args:
+        panels: by title, the points of each line.
+        across: what was swept.
+        up: what came of it.
+    """
+    figure = Figure(figsize=(0.8 + 3.4 * len(panels), 3.6), layout="constrained")
+    axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+    names = list(dict.fromkeys(name for lines in panels.values() for name in lines))
+    texts = dict.fromkeys(
+        point[0] for lines in panels.values() for points in lines.values() for point in points
+    )
+    numbers = all(map(_is_number, texts))
+    order = sorted(texts, key=float) if numbers else list(texts)
+    places = {text: float(text) if numbers else float(at) for at, text in enumerate(order)}
+    room = (max(places.values()) - min(places.values()) or 1.0) * 0.012  # keeps intervals apart
+    colours = style.colours(names)
+    for axis, (title, lines) in zip(axes, panels.items(), strict=True):
+        for at, (name, points) in enumerate(lines.items()):
+            ranked = sorted(points, key=lambda point: places[point[0]])
+            values = np.array([point[1:] for point in ranked])
+            shifted = [places[point[0]] + (at - (len(lines) - 1) / 2) * room for point in ranked]
+            error = np.maximum(np.stack([values[:, 0] - values[:, 1], values[:, 2] - values[:, 0]]), 0)
+            axis.errorbar(
+                shifted, values[:, 0], yerr=error, fmt="o-" if numbers else "o", capsize=2, markersize=4,
+                color=colours[name], label=style.label(name),
+            )  # fmt: skip
+        axis.set_xticks(list(places.values()), order, rotation=0 if numbers else 20)
+        axis.set_xlabel(across)
+        axis.set_title(title)
+        axis.grid(axis="y")
+    axes[0].set_ylabel(up)
+    axes[0].set_ylim(bottom=0)
+    _legend_below(figure, *axes[0].get_legend_handles_labels())
+    return figure
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _unit_square(axis: Axes, across: str, up: str, title: str) -> None:

@@ -28,28 +28,26 @@ def draw_singles(views: Sequence[SingleView], resolution: float) -> Figure:
     """One row for each view: image, V_label over what depth saw, probabilities, the map of each approach with its IoU."""
     names = list(views[0].predicted)
     columns = 3 + len(names)
-    figure = Figure(figsize=(2.3 * columns, 2.75 * len(views) + 0.4), layout="constrained")
+    figure = Figure(figsize=(2.3 * columns, 2.6 * len(views) + 0.8), layout="constrained")
     axes = figure.subplots(len(views), columns, squeeze=False)
+    for axis, title in zip(axes[0], ["Image", "Label", "Probability", *map(style.label, names)], strict=True):
+        axis.set_title(title)
     for row, view in zip(axes, views, strict=True):
         row[0].imshow(view.rgb)
-        row[0].set_title("Image")
         row[0].set_ylabel(f"{view.rank}: {view.category}, {view.home}")
         label = _background(view)
         label[view.label] = TRUTH
         row[1].imshow(label)
-        row[1].set_title("Label")
         draw_scale_bar(row[1], resolution)
         shown = row[2].imshow(view.probabilities, cmap="cividis", vmin=0, vmax=1)
-        row[2].set_title("Probability")
-        figure.colorbar(shown, ax=row[2], location="bottom", shrink=0.8, pad=0.03, ticks=[0, 0.5, 1])
-        for axis, (name, predicted) in zip(row[3:], view.predicted.items(), strict=True):
+        for axis, predicted in zip(row[3:], view.predicted.values(), strict=True):
             axis.imshow(_agreement(view, predicted))
-            axis.set_title(style.label(name))
             axis.set_xlabel(f"IoU {float(iou(count(predicted, view.label))):.3f}")
         for axis in row:
             bare(axis)
         for axis in row[1:]:
             axis.plot(view.label.shape[1] // 2, view.label.shape[0] - 1, "^", color="#cc3377", markersize=6)
+    figure.colorbar(shown, ax=axes[-1, 2], location="bottom", shrink=0.8, pad=0.04, ticks=[0, 0.5, 1])
     colours = {
         "label": TRUTH, "correct": CORRECT, "false": FALSE, "missed": MISSED,
         "occupied": OCCUPIED, "seen": SEEN, "not seen": UNSEEN,
