@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
+from imagination.errors import UserError
 from imagination.evaluation.approaches import Statement
 from imagination.evaluation.metrics import count, iou
 from imagination.evaluation.outcome import Choices
@@ -264,10 +266,19 @@ def write(folder: Path, singles: Singles) -> None:
 
 
 def load(path: Path) -> tuple[list[SingleView], float]:
-    """The views shown and the metres per cell, from a run's folder."""
-    with np.load(path, allow_pickle=False) as arrays:
+    """The views shown and the metres per cell, from a run's folder.
+
+    Raises:
+        UserError: if it is no file of single views.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
         return from_arrays(arrays), float(arrays["resolution"])
+    except (BadZipFile, EOFError, KeyError, TypeError, ValueError, IndexError) as error:
+        raise UserError(f"single views {path}: is damaged; evaluate again to make it") from error
 
 
-def _item(value: np.ndarray) -> object:
-    return value.item() if value.ndim == 0 else value
+def _item(value: Any) -> Any:
+    """An element of an array as Python has it; arrays as they are."""
+    return value.item() if isinstance(value, np.generic) else value

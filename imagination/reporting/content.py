@@ -1,7 +1,7 @@
 """What a report shows of one run: tables, figures and how to make it again, apart from how a page is set."""
 
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from imagination.evaluation import style
 from imagination.evaluation.single_views import CELLS, FILE, MIN_LABEL, TABLE, ranked_by
 from imagination.reporting import curves, layout, map_figures, score_figures, view_figures
 from imagination.reporting.layout import Layout
-from imagination.reporting.results import Results, Row
+from imagination.reporting.results import Results, Row, Tally
 
 TOLD = ("mapping.csv", "paired.csv", "runs.csv", TABLE)
 """Tables that other parts of the report are made of."""
@@ -196,41 +196,38 @@ def _scores(results: Results) -> Iterator[Drawing]:
             for place, name in enumerate(first.approaches)
             for layer, category in enumerate(first.categories)
         }
-    pooled = map_figures.tallies(results.maps)
-    views = results.view_tallies
-    for category in results.categories:
-        of_maps = {name: tally for (name, of), tally in pooled.items() if of == category}
-        thresholds = {name: value for (name, of), value in chosen.items() if of == category}
-        of_views = {name: tally for (name, part, of), tally in views.items() if (part, of) == ("all", category)}
-        network = {
-            part: tally for (name, part, of), tally in views.items() if (name, of) == ("network", category)
-        }
-        by_approach = {name: tally for name, tally in of_views.items() if name != "network"}
-        for stem, what, tallies in (("maps", "global maps", of_maps), ("views", "single views", by_approach)):
-            if tallies:
-                yield Drawing(
-                    f"precision_recall_{stem}_{category}",
-                    f"Precision over recall of {what}, {category}, over all runs and thresholds.",
-                    partial(
-                        score_figures.draw_precision_recall, tallies, thresholds, f"{category}, {what}"
-                    ),
-                )
-        if of_maps:
+    pooled, views = map_figures.tallies(results.maps), results.view_tallies
+    of_views = {(name, of): tally for (name, part, of), tally in views.items() if part == "all"}
+    by_approach = {key: tally for key, tally in of_views.items() if key[0] != "network"}
+    network = {(part, of): tally for (name, part, of), tally in views.items() if name == "network"}
+    for stem, what, tallies in (("maps", "global maps", pooled), ("views", "single views", by_approach)):
+        for category, lines in _by_category(tallies).items():
+            thresholds = {name: value for (name, of), value in chosen.items() if of == category}
             yield Drawing(
-                f"reliability_maps_{category}",
-                f"Scores of global maps before the threshold, and how often they are right, {category}.",
-                partial(score_figures.draw_reliability, of_maps, f"{category}, global maps"),
+                f"precision_recall_{stem}_{category}",
+                f"Precision over recall of {what}, {category}: all runs together, at every threshold.",
+                partial(score_figures.draw_precision_recall, lines, thresholds, f"{category}, {what}"),
             )
-        if network:
-            yield Drawing(
-                f"reliability_network_{category}",
-                f"The network's probabilities in single views, and how often they are right, {category}.",
-                partial(
-                    score_figures.draw_reliability,
-                    {part: network[part] for part in CELLS if part in network},
-                    f"{category}, the network in single views",
-                ),
-            )
+    for category, lines in _by_category(pooled).items():
+        yield Drawing(
+            f"reliability_maps_{category}",
+            f"Scores of global maps before the threshold, and how often they are right, {category}.",
+            partial(score_figures.draw_reliability, lines, f"{category}, global maps"),
+        )
+    for category, lines in _by_category(network).items():
+        ordered = {part: lines[part] for part in CELLS if part in lines}
+        yield Drawing(
+            f"reliability_network_{category}",
+            f"The network's probabilities in single views, and how often they are right, {category}.",
+            partial(score_figures.draw_reliability, ordered, f"{category}, the network in single views"),
+        )
+
+
+def _by_category(tallies: Mapping[tuple[str, str], Tally]) -> dict[str, dict[str, Tally]]:
+    found: dict[str, dict[str, Tally]] = {}
+    for (name, category), tally in tallies.items():
+        found.setdefault(category, {})[name] = tally
+    return found
 
 
 def _training(results: Results) -> Iterator[Drawing]:

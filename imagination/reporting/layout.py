@@ -133,14 +133,15 @@ def bootstrap(results: Results, runs: Runs, measure: str) -> tuple[Float64[np.nd
 
 
 def strengthened(names: Sequence[str], lines: Sequence[Line]) -> list[Line]:
-    """Lines with the best value of each column in bold, among approaches that are not told the truth."""
+    """Lines with the best value of each column in bold, unless all are equal, among approaches not told the truth."""
     fair = [place for place, name in enumerate(names) if name not in WITH_TRUTH]
     changed = [list(line.cells) for line in lines]
     for column in range(len(lines[0].cells)):
         values = {place: cell.value for place in fair if (cell := lines[place].cells[column]) is not None}
-        for place in (at for at, value in values.items() if value == max(values.values())):
+        for place in values:
             cell = lines[place].cells[column]
-            changed[place][column] = cell and cell._replace(strong=True)
+            if cell is not None and min(values.values()) < cell.value == max(values.values()):
+                changed[place][column] = cell._replace(strong=True)
     return [line._replace(cells=cells) for line, cells in zip(lines, changed, strict=True)]
 
 

@@ -47,7 +47,8 @@ def draw_singles(views: Sequence[SingleView], resolution: float) -> Figure:
             bare(axis)
         for axis in row[1:]:
             axis.plot(view.label.shape[1] // 2, view.label.shape[0] - 1, "^", color="#cc3377", markersize=6)
-    figure.colorbar(shown, ax=axes[-1, 2], location="bottom", shrink=0.8, pad=0.04, ticks=[0, 0.5, 1])
+    scale = axes[-1, 2].inset_axes((0.1, -0.12, 0.8, 0.05))  # inside, so that the panel stays in line
+    figure.colorbar(shown, cax=scale, orientation="horizontal", ticks=[0, 0.5, 1])
     colours = {
         "label": TRUTH, "correct": CORRECT, "false": FALSE, "missed": MISSED,
         "occupied": OCCUPIED, "seen": SEEN, "not seen": UNSEEN,
