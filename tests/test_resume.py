@@ -31,7 +31,7 @@ def checkpoint(path: Path, description: dict[str, Any] | None = None) -> Path:
     """A checkpoint of an untrained unit, or with a description of one's own."""
     from hydra.utils import instantiate
 
-    whole = config("seed=7", "model.module.alpha_max=12.0")
+    whole = config("seed=7", "model.loss.alpha_max=12.0")
     state = {"state_dict": instantiate(whole.model.module).state_dict()}
     CheckpointFiles().save_checkpoint(
         {**state, KEY: description or ConfigInCheckpoint(whole).description}, path
@@ -43,13 +43,13 @@ def test_a_checkpoint_brings_its_values_and_no_targets(tmp_path: Path) -> None:
     state = read_state(checkpoint(tmp_path / "a.ckpt"))
     assert "_target_" not in str(state[KEY]) and str(Path.cwd()) not in str(state[KEY])
     read = Checkpoint.read(tmp_path / "a.ckpt")
-    assert (read.config.seed, read.config.model.module.alpha_max, read.config.scale.unit_width) == (
+    assert (read.config.seed, read.config.model.loss.alpha_max, read.config.scale.unit_width) == (
         7,
         12.0,
         4,
     )
     assert read.config.model.unit._target_ == "imagination.units.unit.ImaginationUnit"
-    assert read.model().alpha_max == 12.0
+    assert read.model().loss.alpha_max == 12.0
     read.require(["chair"], config())
     with pytest.raises(UserError, match=r"is of chair at 0.12 m a cell, but .* asks for bed at 0.06 m"):
         read.require(["bed"], config("scale=desk"))
