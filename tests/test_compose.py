@@ -35,7 +35,8 @@ def test_the_scale_wins(experiment: str, scale: str, callbacks: str) -> None:
     sizes = read(CONF / "scale" / f"{scale}.yaml")
     assert resolved["scale"] == sizes
     assert resolved["name"] == experiment
-    assert resolved["trainer"]["max_epochs"] == sizes["rounds"]
+    rounds = "hrnet_rounds" if resolved["model"]["predicts"] == "images" else "rounds"
+    assert resolved["trainer"]["max_epochs"] == sizes[rounds]
     assert resolved["data"]["module"]["batch_size"] == sizes["batch_size"]
     assert resolved["data"]["observer"]["camera"]["width"] == sizes["image"]
     assert resolved["ego"]["resolution"] == resolved["ground_truth"]["resolution"] == sizes["resolution"]

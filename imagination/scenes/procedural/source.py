@@ -1,6 +1,7 @@
 """The scene source of procedural homes."""
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,9 @@ from imagination.scenes.procedural.stock import LABELS
 from imagination.scenes.scene import SPLITS, Scene, Split
 
 SOURCE = "procedural"
+
+MOST = 9999
+"""Homes of a split."""
 
 
 class ProceduralHomes:
@@ -46,7 +50,7 @@ class ProceduralHomes:
         if set(splits) != set(SPLITS):
             raise UserError(f"procedural homes: got splits {sorted(splits)}, expected {', '.join(SPLITS)}")
         for split, count in splits.items():
-            check_range(f"procedural homes: splits.{split}", count, 0, 9999, "homes")
+            check_range(f"procedural homes: splits.{split}", count, 0, MOST, "homes")
         for category in categories:
             unknown = sorted(set(category.members.get(SOURCE, ())) - set(LABELS))
             if unknown:
@@ -82,6 +86,12 @@ class ProceduralHomes:
             )
         return [f"{split}_{number:04d}" for number in range(self._counts[split])]
 
+    def spare(self, count: int) -> list[str]:
+        """Names of the homes that follow those of training: other homes with furniture of the same shapes."""
+        first = self._counts["train"]
+        check_range("procedural homes: splits.train and spare homes", first + count, 1, MOST, "homes")
+        return [f"train_{number:04d}" for number in range(first, first + count)]
+
     def load(self, scene: str) -> Scene:
         """Build one home.
 
@@ -100,8 +110,13 @@ class ProceduralHomes:
 
     def _parse(self, scene: str) -> tuple[Split, int]:
         for split in SPLITS:
-            if self._counts[split] and scene in self.scenes(split):
-                return split, int(scene.rsplit("_", 1)[1])
+            last = MOST if split == "train" else self._counts[split]  # spare homes follow those of training
+            if (
+                self._counts[split]
+                and (found := re.fullmatch(rf"{split}_(\d{{4}})", scene))
+                and int(found[1]) < last
+            ):
+                return split, int(found[1])
         have = ", ".join(f"{split}_0000 to {split}_{n - 1:04d}" for split, n in self._counts.items() if n)
         raise UserError(f"scene: got {scene!r}, expected one of: {have or '(no homes are configured)'}")
 
