@@ -50,9 +50,9 @@ def test_a_checkpoint_brings_its_values_and_no_targets(tmp_path: Path) -> None:
     )
     assert read.config.model.unit._target_ == "imagination.units.unit.ImaginationUnit"
     assert read.model().loss.alpha_max == 12.0
-    read.require(["chair"], config())
-    with pytest.raises(UserError, match=r"is of chair at 0.12 m a cell, but .* asks for bed at 0.06 m"):
-        read.require(["bed"], config("scale=desk"))
+    read.require(config())
+    with pytest.raises(UserError, match=r"is of chair at 0.12 m a cell, but .* asks for chair at 0.06 m"):
+        read.require(config("scale=desk"))
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,9 @@ def training(kind: type = ImaginationUnit, **options: float) -> UnitTraining:
         parts |= {"heights": [0.2, 0.5, 1.5]}
     schedule = partial(torch.optim.lr_scheduler.StepLR, step_size=1, gamma=0.1)
     loss = WeightedBCE()
-    return UnitTraining(kind(**parts), loss, EGO, 0.36, partial(torch.optim.Adam, lr=0.001), schedule, **options)
+    return UnitTraining(
+        kind(**parts), loss, EGO, 0.36, partial(torch.optim.Adam, lr=0.001), schedule, **options
+    )
 
 
 def loader(batches: int) -> DataLoader[dict[str, Tensor]]:
