@@ -135,11 +135,14 @@ class Checkpoint:
 
     @property
     def record(self) -> dict[str, Any]:
-        """What `TrainingRecord` counted, of the whole run where its last checkpoint lies beside; empty without it."""
+        """What `TrainingRecord` counted, of the whole run where its last checkpoint lies beside; empty without it.
+
+        Beside it `flat`, whether the training ended because its score was flat (`UntilFlat`).
+        """
         last = self.path.with_name(LAST.name)
-        state = read_state(last) if last.is_file() else self.state
-        record: dict[str, Any] = state.get("callbacks", {}).get("TrainingRecord", {})
-        return record
+        callbacks = (read_state(last) if last.is_file() else self.state).get("callbacks", {})
+        counts: dict[str, Any] = callbacks.get("TrainingRecord", {})
+        return counts and {**counts, "flat": callbacks.get("UntilFlat", {}).get("flat", False)}
 
     def require(self, config: DictConfig, whose: str = "the evaluation") -> None:
         """Check that the checkpoint was trained for the camera and the maps of a config.

@@ -67,7 +67,7 @@ def summary(run: Run, checkpoint: Path | None) -> str:
         f"{name} {value:.0f} s ({value / seconds['total']:.0%})" for name, value in seconds.items()
     )
     lines = [f"Time: {parts}", f"Peak memory: at most {peak_memory(run.config.scale.workers):.1f} GB"]
-    lines.append(f"Results: {run.folder}/ (tables/, figures/, checkpoints/, tensorboard/)")
+    lines.append(f"Results: {run.folder}/ (tables/, figures/, maps/, checkpoints/, tensorboard/)")
     kept = checkpoint or run.folder / runs.LAST
     if kept.is_file():
         lines.append(f"Evaluate again: python -m imagination.evaluate ckpt={kept}")

@@ -1,10 +1,13 @@
 """Training until the validation score no longer rises."""
 
+import logging
 from typing import Any
 
 from lightning import Callback, LightningModule, Trainer
 
 from imagination.errors import check_range
+
+log = logging.getLogger(__name__)
 
 
 class UntilFlat(Callback):
@@ -48,12 +51,24 @@ class UntilFlat(Callback):
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._end_if_flat(trainer, trainer.current_epoch)  # a finished run that is resumed
 
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if not self.flat:
+            log.warning(
+                "Training ended after %d rounds, before %s was flat; raise trainer.max_epochs and go on with resume",
+                trainer.current_epoch,
+                self.monitor,
+            )
+
+    @property
+    def flat(self) -> bool:
+        """Whether the score stays flat after the last lowering."""
+        return self._lowered == self.lowerings and self._waited >= self.patience
+
     def _end_if_flat(self, trainer: Trainer, rounds: int) -> None:
-        flat = self._lowered == self.lowerings and self._waited >= self.patience
-        trainer.should_stop = trainer.should_stop or (flat and rounds >= self.min_rounds)
+        trainer.should_stop = trainer.should_stop or (self.flat and rounds >= self.min_rounds)
 
     def state_dict(self) -> dict[str, Any]:
-        return {"best": self._best, "waited": self._waited, "lowered": self._lowered}
+        return {"best": self._best, "waited": self._waited, "lowered": self._lowered, "flat": self.flat}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self._best, self._waited, self._lowered = (state_dict[name] for name in ("best", "waited", "lowered"))

@@ -6,39 +6,45 @@ from imagination.checkpoints import KEY, Checkpoint
 from imagination.evaluation.outcome import Report
 from imagination.evaluation.tables import Row
 
+COUNTED = "rounds", "samples", "views", "minutes", "until", "iou_val_views"
+"""Columns that a checkpoint written without a record leaves empty."""
+
 
 def training_rows(checkpoints: Sequence[Checkpoint], report: Report) -> list[Row]:
-    """One row for each checkpoint and category.
+    """One row for each checkpoint and category that is evaluated.
 
     Args:
         checkpoints: of the networks.
         report: of their evaluation.
     """
-    rows = []
-    for checkpoint in checkpoints:
-        record, images = checkpoint.record, checkpoint.predicts == "images"
-        counted = (
-            {
-                "rounds": f"{record['rounds']}",
-                "samples": f"{record['samples']}",
-                "views": f"{record['views']}",
-                "minutes": f"{record['seconds'] / 60:.1f}",
-                "iou_val_views": f"{record['best']:.4f}",
-            }
-            if record
-            else dict.fromkeys(("rounds", "samples", "views", "minutes", "iou_val_views"), "")
-        )
-        rows += [
-            {
-                "network": str(checkpoint.state[KEY]["values"]["name"]),
-                "category": name,
-                "parameters": str(sum(tensor.numel() for tensor in checkpoint.state["state_dict"].values())),
-                **counted,
-                "iou_first_person": f"{report.first_person[name]:.4f}"
-                if images and report.first_person
-                else "",
-            }
-            for name in checkpoint.categories
-            if name in report.homes
-        ]
-    return rows
+    return [
+        {
+            "network": str(checkpoint.state[KEY]["values"]["name"]),
+            "category": name,
+            **_counted(checkpoint),
+            "iou_first_person": f"{report.first_person[name]:.4f}"
+            if _maps_images(checkpoint, report)
+            else "",
+        }
+        for checkpoint in checkpoints
+        for name in checkpoint.categories
+        if name in report.homes
+    ]
+
+
+def _counted(checkpoint: Checkpoint) -> Row:
+    record = checkpoint.record
+    if not record:
+        return dict.fromkeys(COUNTED, "")
+    return {
+        "rounds": str(record["rounds"]),
+        "samples": str(record["samples"]),
+        "views": str(record["views"]),
+        "minutes": f"{record['seconds'] / 60:.1f}",
+        "until": "flat" if record["flat"] else "last round",
+        "iou_val_views": f"{record['best']:.4f}",
+    }
+
+
+def _maps_images(checkpoint: Checkpoint, report: Report) -> bool:
+    return checkpoint.predicts == "images" and bool(report.first_person)

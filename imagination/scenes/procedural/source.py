@@ -20,6 +20,9 @@ SOURCE = "procedural"
 MOST = 9999
 """Homes of a split."""
 
+SPARE = "known"
+"""What homes with furniture that is known from training, none of which is trained on, are called."""
+
 
 class ProceduralHomes:
     """Furnished homes made by rule; a home depends only on the seed, its split and its number.
@@ -87,10 +90,9 @@ class ProceduralHomes:
         return [f"{split}_{number:04d}" for number in range(self._counts[split])]
 
     def spare(self, count: int) -> list[str]:
-        """Names of the homes that follow those of training: other homes with furniture of the same shapes."""
-        first = self._counts["train"]
-        check_range("procedural homes: splits.train and spare homes", first + count, 1, MOST, "homes")
-        return [f"train_{number:04d}" for number in range(first, first + count)]
+        """Names of homes furnished as training's whose numbers lie beyond all of training's."""
+        check_range("procedural homes: spare homes", count, 1, MOST, "homes")
+        return [f"{SPARE}_{number:04d}" for number in range(count)]
 
     def load(self, scene: str) -> Scene:
         """Build one home.
@@ -110,13 +112,10 @@ class ProceduralHomes:
 
     def _parse(self, scene: str) -> tuple[Split, int]:
         for split in SPLITS:
-            last = MOST if split == "train" else self._counts[split]  # spare homes follow those of training
-            if (
-                self._counts[split]
-                and (found := re.fullmatch(rf"{split}_(\d{{4}})", scene))
-                and int(found[1]) < last
-            ):
-                return split, int(found[1])
+            if self._counts[split] and scene in self.scenes(split):
+                return split, int(scene.rsplit("_", 1)[1])
+        if re.fullmatch(rf"{SPARE}_\d{{4}}", scene):
+            return "train", MOST + 1 + int(scene.rsplit("_", 1)[1])
         have = ", ".join(f"{split}_0000 to {split}_{n - 1:04d}" for split, n in self._counts.items() if n)
         raise UserError(f"scene: got {scene!r}, expected one of: {have or '(no homes are configured)'}")
 
