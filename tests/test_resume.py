@@ -149,10 +149,20 @@ def test_a_run_goes_on_with_its_own_config_only(command: Command, tmp_path: Path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moment", [0.0, 0.35, 1.1])
-def test_a_killed_run_ends_as_an_uninterrupted_one(tmp_path: Path, command: Command, moment: float) -> None:
+@pytest.mark.parametrize(
+    ("experiment", "moment"),
+    [("chair_unet", 0.0), ("chair_unet", 0.35), ("chair_unet", 1.1), ("segmentation_hrnet", 0.35)],
+)
+def test_a_killed_run_ends_as_an_uninterrupted_one(
+    tmp_path: Path, command: Command, experiment: str, moment: float
+) -> None:
     """SIGKILL some seconds after the first checkpoint, resume: the same weights, the same table."""
-    job = [*JOB, "scale.rounds=6", "scale.eval_every=2", "scale.workers=1"]
+    job = [f"+experiment={experiment}", "scale=test", "scale.eval_every=2", "scale.workers=1"]
+    if experiment == "segmentation_hrnet":  # beyond the rounds that collect, with a rate that falls
+        job += ["scale.hrnet_rounds=6", "callbacks.until_flat.patience=1", "callbacks.until_flat.margin=1.0"]
+        job += ["callbacks.until_flat.lowerings=6", "scale.rounds=3"]
+    else:
+        job += ["scale.rounds=6"]
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert command("train", *job, f"paths.outputs={whole}").returncode == 0
     process = subprocess.Popen(
@@ -163,7 +173,7 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(tmp_path: Path, command: Comm
         stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
-    last = Path("chair_unet") / "latest" / "checkpoints" / "last.ckpt"
+    last = Path(experiment) / "latest" / "checkpoints" / "last.ckpt"
     while not (broken / last).is_file():
         assert process.poll() is None
         time.sleep(0.02)
@@ -173,7 +183,7 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(tmp_path: Path, command: Comm
     done = command("train", "resume=latest", f"paths.outputs={broken}")
     assert done.returncode == 0, done.stderr
     for name in ("mapping.csv", "runs.csv"):
-        table = Path("chair_unet") / "latest" / "tables" / name
+        table = Path(experiment) / "latest" / "tables" / name
         assert (whole / table).read_bytes() == (broken / table).read_bytes()
     one, other = (read_state(outputs / last) for outputs in (whole, broken))
     assert one["epoch"] == other["epoch"] == 5
