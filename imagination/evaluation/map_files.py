@@ -1,7 +1,7 @@
 """Files of global maps: what an evaluation saves of every run, and what figures and recounts read.
 
-A full evaluation writes maps/<home>_<cell width>m_<viewpoint set>.npz, e.g. maps/test_0003_2.5m_0.npz: one file for each
-run of the test homes, cropped to the cells that hold anything at all, with
+A full evaluation writes maps/<home>_<cell width>m_<viewpoint set>.npz, e.g. maps/test_0003_2.5m_0.npz: one file for
+each run of the test homes, cropped to the cells that hold anything at all, with
 
     name        type and shape    what
     home        str               of the scene
@@ -93,7 +93,11 @@ def save(folder: Path, maps: SavedMaps) -> None:
     arrays = {name: getattr(maps, name) for name in SavedMaps._fields if name not in ("run", "grid")}
     with replacing(path_of(folder, maps.run)) as temporary:
         np.savez_compressed(
-            temporary, **maps.run._asdict(), **arrays, resolution=maps.grid.resolution, origin=maps.grid.origin
+            temporary,
+            **maps.run._asdict(),
+            **arrays,
+            resolution=maps.grid.resolution,
+            origin=maps.grid.origin,
         )
 
 

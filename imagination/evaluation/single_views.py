@@ -45,7 +45,7 @@ class SingleView(NamedTuple):
         iou: of that approach.
         rgb: what the camera saw.
         seen, occupied, label: V_seen, egocentric occupancy and V_label.
-        probabilities: the network's.
+        probabilities: the unit's; not a number without one.
         predicted: the map of each approach.
     """
 
@@ -68,7 +68,7 @@ class Singles(NamedTuple):
     Attributes:
         shown: best, median and worst of each category.
         tallies: correct, false and truth cells of each approach and category at `THRESHOLDS`, over all views.
-        cells: the same of the network's probabilities, for each of `CELLS` and category.
+        cells: the same of the unit's probabilities, for each of `CELLS` and category; empty without one.
         views: how many were looked at.
         resolution: metres per cell.
     """
@@ -116,7 +116,8 @@ def measure(
     names, observer = list(protocol.approaches), subject.pool.observer
     empty = np.zeros((len(THRESHOLDS), 3), np.int64)
     tallies = {(name, category): empty.copy() for category in present for name in names}
-    cells = {(part, category): empty.copy() for category in present for part in CELLS}
+    imagined = "maps" in subject.predict.gives
+    cells = {(part, category): empty.copy() for category in present for part in CELLS if imagined}
     places: dict[str, list[_Place]] = {category: [] for category in present}
     views = 0
     for run in runs:
@@ -129,8 +130,9 @@ def measure(
             for name in names:
                 tallies[name, view.category] += tally(view.scores[name], truth, THRESHOLDS)
             for part, mask in zip(CELLS, (True, view.seen, ~view.seen), strict=True):
-                inside = np.where(mask, view.probabilities, np.float32(0))
-                cells[part, view.category] += tally(inside, truth & mask, THRESHOLDS)
+                if imagined:
+                    inside = np.where(mask, view.probabilities, np.float32(0))
+                    cells[part, view.category] += tally(inside, truth & mask, THRESHOLDS)
             predicted = score >= np.float32(choices[ranked_by(names), view.category].threshold)
             value = float(iou(count(predicted, truth)))
             places[view.category].append(_Place(value, int(truth.sum()), run, view.index))
@@ -138,10 +140,9 @@ def measure(
     for category, ranked in places.items():
         for rank, place in picks(ranked, subject.setting.ego.resolution).items():
             kept = views_of(observer, place.run, looks)
-            one = {name: kept[name][place.index : place.index + 1] for name in kept if name != "snap_distance"}
-            for view in _views(protocol, subject, one, choices, imaginable):
-                if view.category == category:
-                    shown.append(_shown(view, rank, place, one, choices))
+            for view in _views(protocol, subject, kept, choices, imaginable):
+                if (view.category, view.index) == (category, place.index):
+                    shown.append(_shown(view, rank, place, kept, choices))
     return Singles(shown, tallies, cells, views, subject.setting.ego.resolution)
 
 
@@ -175,12 +176,14 @@ def _views(
     protocol: MappingProtocol, subject: Subject, views: Views, choices: Choices, imaginable: int
 ) -> Iterator[_View]:
     setting = subject.setting
-    probabilities = subject.predict(views)
+    needs = {approach.evidence.needs for approach in protocol.approaches.values()} - {None}
+    predictions = subject.predict(views, (needs | {"maps"}) & subject.predict.gives)
     labels = label(views["object"][:, setting.layers], views["seen"][:, None], imaginable)
     statements: dict[object, Statement] = {}
     for approach in protocol.approaches.values():
         if approach.evidence not in statements:
-            statements[approach.evidence] = approach.evidence(views, probabilities, setting)
+            statements[approach.evidence] = approach.evidence(views, predictions, setting)
+    probabilities = predictions.get("maps", np.full(labels.shape, np.nan, np.float32))
     for layer, category in enumerate(setting.categories):
         for index in range(len(views["pose"])):
             scores = {}
@@ -188,7 +191,9 @@ def _views(
                 said = statements[approach.evidence]
                 score = np.where(said.mask[index, layer], said.values[index, layer], np.float32(0))
                 kernel = choices[name, category].kernel
-                scores[name] = approach.finished(score, kernel, setting.ego.resolution)
+                scores[name] = approach.finished(
+                    score, labels[index, layer], kernel, setting.ego.resolution
+                )
             yield _View(
                 category, index, views["seen"][index], labels[index, layer], probabilities[index, layer], scores
             )
@@ -200,8 +205,8 @@ def _shown(view: _View, rank: str, place: _Place, views: Views, choices: Choices
         for name, score in view.scores.items()
     }
     return SingleView(
-        rank, view.category, place.run.home, views["pose"][0], place.iou, views["rgb"][0], view.seen,
-        views["occupied"][0], view.label, view.probabilities, predicted,
+        rank, view.category, place.run.home, views["pose"][view.index], place.iou, views["rgb"][view.index], view.seen,
+        views["occupied"][view.index], view.label, view.probabilities, predicted,
     )  # fmt: skip
 
 

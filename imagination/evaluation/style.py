@@ -12,6 +12,7 @@ LABELS = {
     "imagination_seen": "Imagination (seen)",
     "seen_dilated": "Seen, grown",
     "imagination": "Imagination",
+    "imagination_rgb_shuffled": "RGB shuffled",
     "oracle": "Oracle",
 }
 """The paper's names where it has one; an approach that is not here goes by its own."""
@@ -25,11 +26,12 @@ COLOURS = {
     "imagination_seen": "#e69f00",
     "seen_dilated": "#cc79a7",
     "imagination": "#d55e00",
+    "imagination_rgb_shuffled": "#999999",
     "oracle": "#009e73",
 }
 """The palette of Okabe and Ito (2008), which people who see few colours can tell apart."""
 
-SPARE = ("#999999", "#b2a300", "#7f3c8d", "#3969ac", "#80ba5a", "#a5673f")
+SPARE = ("#b2a300", "#7f3c8d", "#3969ac", "#80ba5a", "#a5673f")
 """Colours of other approaches, in their order."""
 
 THEMES: dict[str, dict[str, Any]] = {

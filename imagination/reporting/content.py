@@ -17,6 +17,13 @@ from imagination.reporting.results import Results, Row, Tally
 TOLD = ("mapping.csv", "paired.csv", "runs.csv", TABLE)
 """Tables that other parts of the report are made of."""
 
+TITLES = {
+    "ego.csv": "Single views of test homes: the unit's scores",
+    "training.csv": "Networks: what they were trained on, and how well they do on single views",
+    "furniture.csv": "Homes with known and with unseen furniture",
+}
+"""Of further tables; others go by their file's name."""
+
 MOST_ROWS = 200
 """Of a further table; longer ones stay in their files."""
 
@@ -102,6 +109,7 @@ def facts(results: Results) -> list[tuple[str, str]]:
         "Categories": ", ".join(map(str, config.get("unit_categories") or [])),
         "Homes": f"{results.source}, {(results.scale.get('homes') or {}).get('test', '?')} for the test",
         "Resolution": f"{results.resolution:g} m per cell",
+        "Approaches left out": ", ".join(results.left_out) if results.counts else "",
         "Seed": str(config.get("seed", "?")),
         "Hardware": str(origin.get("hardware", "")),
         "Evaluation took": f"{float(origin['seconds']):.0f} s" if "seconds" in origin else "",
@@ -251,4 +259,4 @@ def _further(results: Results) -> Iterator[Plain]:
         if path.name not in TOLD and not made:
             rows = results.table(path.name)
             if 0 < len(rows) <= MOST_ROWS:
-                yield Plain(path.name, rows)
+                yield Plain(TITLES.get(path.name, path.name), rows)

@@ -1,6 +1,8 @@
 """A sweep's folder: its members, what was swept, and what came of it."""
 
+import csv
 import json
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from itertools import product
@@ -17,11 +19,16 @@ from imagination.evaluation.single_views import ranked_by
 from imagination.evaluation.style import label
 from imagination.reporting.content import Content, Drawing, Plain, Section, as_yaml, facts
 from imagination.reporting.layout import Cell, Column, Layout, Line, bootstrap, cell_of, strengthened
-from imagination.reporting.results import Results, Runs
+from imagination.reporting.results import Results, Runs, read_csv
 from imagination.reporting.score_figures import Point, draw_ablation
+from imagination.runs import CONFIG
 
 WHERE_AND_HOW = ("paths", "choices", "callbacks", "logger")
 """Nodes of a config that say where and how a member ran; they differ between members or follow from others."""
+
+
+LIST = "members.csv"
+"""In a sweep's folder: folder, state, overrides and problem of each member."""
 
 
 class Member(NamedTuple):
@@ -54,11 +61,16 @@ class Multirun:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        asked = grid(folder / "multirun.yaml")
+        listed = list_of(folder / LIST)
+        asked = [asked for asked, _, _ in listed] or grid(folder / "multirun.yaml")
         there = [path.name for path in folder.iterdir() if path.is_dir() and path.name.isdigit()]
         last = max([len(asked) - 1, *map(int, there)])
         self.members = [
-            member(folder / str(number), asked[number] if number < len(asked) else {})
+            member(
+                folder / str(number),
+                asked[number] if number < len(asked) else {},
+                listed[number][1:] if number < len(listed) else ("", ""),
+            )
             for number in range(last + 1)
         ]
         if not self.read:
@@ -109,8 +121,34 @@ def grid(path: Path) -> list[dict[str, str]]:
     return [dict(choice) for choice in product(*lists)]
 
 
-def member(folder: Path, asked: dict[str, str]) -> Member:
-    """One member, and how far it came."""
+def list_of(path: Path) -> list[tuple[dict[str, str], str, str]]:
+    """Overrides, state and problem of each member, in the order of their folders, as a sweep's members.csv has them.
+
+    Empty where there is no such file.
+
+    Raises:
+        UserError: if it is damaged.
+    """
+    if not path.is_file():
+        return []
+    try:
+        rows = sorted(read_csv(path), key=lambda row: int(row["folder"]))
+        told = [(_overrides(shlex.split(row["overrides"])), row["state"], row["problem"]) for row in rows]
+    except (ValueError, KeyError, csv.Error) as error:
+        raise UserError(f"sweep {path}: is damaged ({error}); delete it to go by the folders alone") from error
+    every = {str(number): values for number, (values, _, _) in enumerate(told)}
+    kept = _differing(every)
+    return [
+        ({key: of[str(number)] for key, of in kept.items()}, *rest) for number, (_, *rest) in enumerate(told)
+    ]
+
+
+def member(folder: Path, asked: dict[str, str], told: tuple[str, ...] = ("", "")) -> Member:
+    """One member, and how far it came; `told` is its state and problem as the sweep itself has them."""
+    state, problem = told
+    if state == "failed":
+        results = Results(folder) if (folder / CONFIG).is_file() else None
+        return Member(folder.name, results, "failed", problem, asked)
     if not folder.is_dir():
         return Member(folder.name, None, "missing", "has no folder: it was never started, or was deleted", asked)
     try:
@@ -257,7 +295,11 @@ def _told(values: Mapping[str, str]) -> str:
 
 def _choices(config: Mapping[str, Any]) -> dict[str, str]:
     """A member's own overrides, by key."""
-    parts = [str(text).lstrip("+~").partition("=") for text in config.get("choices") or []]
+    return _overrides([str(text) for text in config.get("choices") or []])
+
+
+def _overrides(texts: Sequence[str]) -> dict[str, str]:
+    parts = [text.lstrip("+~").partition("=") for text in texts]
     return {key: value for key, _, value in parts}
 
 

@@ -128,6 +128,12 @@ class Results:
         return list(dict.fromkeys(key.approach for key in self.counts))
 
     @property
+    def left_out(self) -> list[str]:
+        """Approaches of the config that were not evaluated, since no network for them was given."""
+        asked = (self.config.get("evaluation") or {}).get("approaches") or {}
+        return [name for name in asked if name not in self.approaches]
+
+    @property
     def categories(self) -> list[str]:
         return list(dict.fromkeys(key.category for key in self.counts))
 
@@ -224,7 +230,7 @@ def recount(maps: Sequence[SavedMaps]) -> dict[Key, Runs]:
 
 def by_home(runs: Runs) -> Int64[np.ndarray, "homes 1 3"]:
     """Counts summed over the viewpoint sets of each home: what pooled figures and the bootstrap need."""
-    homes: dict[str, Int64[np.ndarray, "3"]] = {}
+    homes: dict[str, np.ndarray] = {}
     for (home, _), pixels in runs.items():
         homes[home] = homes.get(home, np.zeros(3, np.int64)) + pixels
     return np.stack(list(homes.values()))[:, None]
@@ -242,7 +248,8 @@ def missing_runs(counts: Mapping[Key, Runs], config: Mapping[str, Any]) -> list[
         homes = dict.fromkeys(home for runs in of_category for home, _ in runs)
         if not homes:
             told.append(f"{category}: no run of any approach")
-        for width, approach in product(evaluation.get("cell_widths") or [], evaluation.get("approaches") or []):
+        measured = dict.fromkeys(key.approach for key in counts)
+        for width, approach in product(evaluation.get("cell_widths") or [], measured):
             runs = counts.get(Key(approach, category, float(width)), {})
             if lost := [(home, number) for home in homes for number in sets if (home, number) not in runs]:
                 names = ", ".join(f"{home} set {number}" for home, number in lost[:3])

@@ -27,10 +27,12 @@ SEEN, UNSEEN = (255, 255, 255), (234, 236, 240)
 def draw_singles(views: Sequence[SingleView], resolution: float) -> Figure:
     """One row for each view: image, V_label over what depth saw, probabilities, the map of each approach with its IoU."""
     names = list(views[0].predicted)
-    columns = 3 + len(names)
+    imagined = bool(np.isfinite(views[0].probabilities).all())  # there was a unit
+    heads = ["Image", "Label", *(["Probability"] if imagined else []), *map(style.label, names)]
+    columns = len(heads)
     figure = Figure(figsize=(2.3 * columns, 2.6 * len(views) + 0.8), layout="constrained")
     axes = figure.subplots(len(views), columns, squeeze=False)
-    for axis, title in zip(axes[0], ["Image", "Label", "Probability", *map(style.label, names)], strict=True):
+    for axis, title in zip(axes[0], heads, strict=True):
         axis.set_title(title)
     for row, view in zip(axes, views, strict=True):
         row[0].imshow(view.rgb)
@@ -39,16 +41,18 @@ def draw_singles(views: Sequence[SingleView], resolution: float) -> Figure:
         label[view.label] = TRUTH
         row[1].imshow(label)
         draw_scale_bar(row[1], resolution)
-        shown = row[2].imshow(view.probabilities, cmap="cividis", vmin=0, vmax=1)
-        for axis, predicted in zip(row[3:], view.predicted.values(), strict=True):
+        if imagined:
+            shown = row[2].imshow(view.probabilities, cmap="cividis", vmin=0, vmax=1)
+        for axis, predicted in zip(row[-len(names) :], view.predicted.values(), strict=True):
             axis.imshow(_agreement(view, predicted))
             axis.set_xlabel(f"IoU {float(iou(count(predicted, view.label))):.3f}")
         for axis in row:
             bare(axis)
         for axis in row[1:]:
             axis.plot(view.label.shape[1] // 2, view.label.shape[0] - 1, "^", color="#cc3377", markersize=6)
-    scale = axes[-1, 2].inset_axes((0.1, -0.12, 0.8, 0.05))  # inside, so that the panel stays in line
-    figure.colorbar(shown, cax=scale, orientation="horizontal", ticks=[0, 0.5, 1])
+    if imagined:
+        scale = axes[-1, 2].inset_axes((0.1, -0.12, 0.8, 0.05))  # inside, so that the panel stays in line
+        figure.colorbar(shown, cax=scale, orientation="horizontal", ticks=[0, 0.5, 1])
     colours = {
         "label": TRUTH, "correct": CORRECT, "false": FALSE, "missed": MISSED,
         "occupied": OCCUPIED, "seen": SEEN, "not seen": UNSEEN,
