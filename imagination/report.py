@@ -21,8 +21,11 @@ if TYPE_CHECKING:  # with it comes matplotlib, which --help does without
 def main(arguments: list[str]) -> None:
     """The command."""
     parser = argparse.ArgumentParser("python -m imagination.report", description=__doc__.partition("\n")[0])
+    # arguments as other programs take them: there is no config to compose here
     parser.add_argument("folder", type=Path, help="of a run, an evaluation, a study or a sweep")
-    parser.add_argument("--docs", type=Path, metavar="PAGE", help="write PAGE.md and figures into PAGE/ instead")
+    parser.add_argument(
+        "--docs", type=Path, metavar="PAGE", help="write PAGE.md and figures into PAGE/ instead"
+    )
     given = parser.parse_args(arguments)
     from imagination.reporting import docs, page
 
@@ -45,7 +48,9 @@ def read(folder: Path) -> Content:
     from imagination.runs import CONFIG
 
     if not folder.is_dir():
-        raise UserError(f"report: got {folder}, but there is no such folder; such as outputs/chair_unet/latest")
+        raise UserError(
+            f"report: got {folder}, but there is no such folder; such as outputs/chair_unet/latest"
+        )
     if not (folder / CONFIG).is_file() and is_multirun(folder):
         return of_multirun(Multirun(folder))
     return of_run(Results(folder))

@@ -96,7 +96,9 @@ def draw_scale_bar(axis: Axes, resolution: float) -> None:
     """A bar of `BAR` metres under a map's lower left corner."""
     across = axis.get_xaxis_transform()  # x in cells, y in heights of the map
     colour = mpl.rcParams["text.color"]
-    axis.plot([0, BAR / resolution], [-0.03, -0.03], transform=across, color=colour, clip_on=False, linewidth=2)
+    axis.plot(
+        [0, BAR / resolution], [-0.03, -0.03], transform=across, color=colour, clip_on=False, linewidth=2
+    )
     axis.text(0, -0.045, f"{BAR:g} m", transform=across, ha="left", va="top", fontsize=8)
 
 

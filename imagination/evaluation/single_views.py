@@ -191,11 +191,14 @@ def _views(
                 said = statements[approach.evidence]
                 score = np.where(said.mask[index, layer], said.values[index, layer], np.float32(0))
                 kernel = choices[name, category].kernel
-                scores[name] = approach.finished(
-                    score, labels[index, layer], kernel, setting.ego.resolution
-                )
+                scores[name] = approach.finished(score, labels[index, layer], kernel, setting.ego.resolution)
             yield _View(
-                category, index, views["seen"][index], labels[index, layer], probabilities[index, layer], scores
+                category,
+                index,
+                views["seen"][index],
+                labels[index, layer],
+                probabilities[index, layer],
+                scores,
             )
 
 

@@ -96,9 +96,7 @@ def of_run(results: Results) -> Content:
         Section("More tables", plain=tuple(_further(results))),
     ]
     kept = [section for section in made if section.layouts or section.drawings or section.plain]
-    return Content(
-        results.name, facts(results), results.problems, kept, commands(results), as_yaml(results)
-    )
+    return Content(results.name, facts(results), results.problems, kept, commands(results), as_yaml(results))
 
 
 def facts(results: Results) -> list[tuple[str, str]]:

@@ -36,8 +36,8 @@ def read(folder: Path) -> dict[str, Curve]:
 def charts(curves: dict[str, Curve]) -> list[Chart]:
     """What is drawn of them: losses, IoU of single views, global IoU by approach, learning rate."""
     made = []
-    losses = {name: curves[tag] for name, tag in (("training", "train/loss"), ("validation", "val/loss")) if tag in curves}
-    if losses:
+    tags = {"training": "train/loss", "validation": "val/loss"}
+    if losses := {name: curves[tag] for name, tag in tags.items() if tag in curves}:
         made.append(Chart("curve_loss", "Weighted loss", "loss", losses))
     regions = {cells: f"val/iou{'' if cells == 'all' else '_' + cells}" for cells in CELLS}
     if found := {cells: curves[tag] for cells, tag in regions.items() if tag in curves}:

@@ -15,8 +15,10 @@ def write(stem: Path, content: Content) -> Path:
         UserError: if the disk is full or may not be written.
     """
     page.write_figures(stem, content, kinds=("png",))
-    text = page.environment().get_template("page.md.j2").render(
-        content=content, folder=stem.name, table=to_markdown
+    text = (
+        page.environment()
+        .get_template("page.md.j2")
+        .render(content=content, folder=stem.name, table=to_markdown)
     )
     path = stem.with_name(f"{stem.name}.md")
     write_text(path, text)

@@ -1,4 +1,4 @@
-"""Tables in the paper's layout: a row for each approach, columns by cell width and category; CSV, Markdown and LaTeX."""
+"""Tables in the paper's layout, a row for each approach, columns by cell width and category: CSV, Markdown, LaTeX."""
 
 import csv
 import io
@@ -98,7 +98,9 @@ def _with_paper(
     results: Results, columns: list[Column], measure: str, published: paper.Numbers
 ) -> list[tuple[str, list[Line]]]:
     ours = [
-        Line(label(name), [cell_of(results, Key(name, at.category, at.cell_width), measure) for at in columns])
+        Line(
+            label(name), [cell_of(results, Key(name, at.category, at.cell_width), measure) for at in columns]
+        )
         for name in results.approaches
     ]
     names = [name for name in results.approaches if any((name, *at) in published for at in columns)]
@@ -184,7 +186,9 @@ def to_csv(layout: Layout) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     heads = [f"{at.category}_{at.cell_width:g}m" for at in layout.columns]
-    writer.writerow(["source", "approach", *(f"{head}{end}" for head in heads for end in ("", "_low", "_high"))])
+    writer.writerow(
+        ["source", "approach", *(f"{head}{end}" for head in heads for end in ("", "_low", "_high"))]
+    )
     for block, lines in layout.blocks:
         for name, cells in lines:
             values = [
@@ -234,7 +238,9 @@ def to_latex(layout: Layout) -> str:
     groups: dict[float, list[str]] = {}
     for at in layout.columns:
         groups.setdefault(at.cell_width, []).append(at.category)
-    over = "".join(f" & \\multicolumn{{{len(of)}}}{{c}}{{cell width {width:g} m}}" for width, of in groups.items())
+    over = "".join(
+        f" & \\multicolumn{{{len(of)}}}{{c}}{{cell width {width:g} m}}" for width, of in groups.items()
+    )
     rules, start = [], 2
     for of in groups.values():
         rules.append(f"\\cmidrule(lr){{{start}-{start + len(of) - 1}}}")
@@ -254,7 +260,9 @@ def to_latex(layout: Layout) -> str:
     for block, rows in layout.blocks:
         lines.append(r"\midrule")
         if len(layout.blocks) > 1:
-            lines.append(f"\\multicolumn{{{len(layout.columns) + 1}}}{{l}}{{\\emph{{{escaped(block)}}}}} \\\\")
+            lines.append(
+                f"\\multicolumn{{{len(layout.columns) + 1}}}{{l}}{{\\emph{{{escaped(block)}}}}} \\\\"
+            )
         for name, cells in rows:
             lines.append(" & ".join([escaped(name), *(_typeset(layout, cell) for cell in cells)]) + r" \\")
             if any(cell and layout.span(cell) for cell in cells):

@@ -33,7 +33,7 @@ def example_of(maps: SavedMaps, category: str) -> Example:
 
 
 def typical(maps: Sequence[SavedMaps], category: str, cell_width: float) -> SavedMaps | None:
-    """Of the runs with a cell width, the one whose IoU by the ranking approach is the median; None where there is none."""
+    """Of the runs with a cell width, the one of median IoU by the ranking approach; None without one."""
     ranked = []
     for saved in maps:
         if saved.run.cell_width == cell_width and category in saved.categories:
@@ -78,7 +78,7 @@ def draw_viewpoints(maps: Sequence[SavedMaps], cell_widths: Sequence[float]) -> 
 
 
 def tallies(maps: Sequence[SavedMaps]) -> dict[tuple[str, str], Int64[np.ndarray, "t 3"]]:
-    """Correct, false and truth pixels of each approach and category at every threshold from .01 to .99, over all runs."""
+    """Correct, false and truth pixels of each approach and category at thresholds .01 to .99, over all runs."""
     found: dict[tuple[str, str], Int64[np.ndarray, "t 3"]] = {}
     for saved in maps:
         for layer, category in enumerate(saved.categories):

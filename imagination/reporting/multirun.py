@@ -74,7 +74,9 @@ class Multirun:
             for number in range(last + 1)
         ]
         if not self.read:
-            raise UserError(f"report: none of the {len(self.members)} members of {folder} has a config to read")
+            raise UserError(
+                f"report: none of the {len(self.members)} members of {folder} has a config to read"
+            )
 
     @property
     def read(self) -> list[Member]:
@@ -93,9 +95,7 @@ class Multirun:
 
     def values(self, member: Member) -> dict[str, str]:
         """What was swept of one member; of one that left no config, as its sweep asked for it."""
-        return {
-            key: of.get(member.number, member.asked.get(key, "?")) for key, of in self.swept.items()
-        }
+        return {key: of.get(member.number, member.asked.get(key, "?")) for key, of in self.swept.items()}
 
 
 def is_multirun(folder: Path) -> bool:
@@ -135,7 +135,9 @@ def list_of(path: Path) -> list[tuple[dict[str, str], str, str]]:
         rows = sorted(read_csv(path), key=lambda row: int(row["folder"]))
         told = [(_overrides(shlex.split(row["overrides"])), row["state"], row["problem"]) for row in rows]
     except (ValueError, KeyError, csv.Error) as error:
-        raise UserError(f"sweep {path}: is damaged ({error}); delete it to go by the folders alone") from error
+        raise UserError(
+            f"sweep {path}: is damaged ({error}); delete it to go by the folders alone"
+        ) from error
     every = {str(number): values for number, (values, _, _) in enumerate(told)}
     kept = _differing(every)
     return [
@@ -150,7 +152,9 @@ def member(folder: Path, asked: dict[str, str], told: tuple[str, ...] = ("", "")
         results = Results(folder) if (folder / CONFIG).is_file() else None
         return Member(folder.name, results, "failed", problem, asked)
     if not folder.is_dir():
-        return Member(folder.name, None, "missing", "has no folder: it was never started, or was deleted", asked)
+        return Member(
+            folder.name, None, "missing", "has no folder: it was never started, or was deleted", asked
+        )
     try:
         results = Results(folder)
     except UserError as error:
@@ -187,7 +191,9 @@ def of_multirun(sweep: Multirun) -> Content:
             drawings=tuple(_drawings(sweep, measured)),
         ))  # fmt: skip
     title = f"Sweep of {first.name}"
-    return Content(title, [("Folder", str(sweep.folder)), *told], problems, sections, _commands(sweep), as_yaml(first))
+    return Content(
+        title, [("Folder", str(sweep.folder)), *told], problems, sections, _commands(sweep), as_yaml(first)
+    )
 
 
 def _rows(sweep: Multirun) -> list[dict[str, str]]:

@@ -59,8 +59,10 @@ def drawings(content: Content) -> Iterator[Drawing]:
 
 def html(content: Content) -> str:
     """The page: pictures inside it, nothing loaded, no scripts; all text escaped."""
-    return environment().get_template("page.html.j2").render(
-        content=content, picture=picture, colours=style.THEMES
+    return (
+        environment()
+        .get_template("page.html.j2")
+        .render(content=content, picture=picture, colours=style.THEMES)
     )
 
 

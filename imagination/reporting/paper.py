@@ -1,4 +1,4 @@
-"""The paper's own results, measured on Matterport3D: its tables "IoU of the Global Map" and "Number of Correct Pixels"."""
+"""The paper's own results, on Matterport3D: its tables "IoU of the Global Map" and "Number of Correct Pixels"."""
 
 SOURCE = "Paper, on Matterport3D"
 """How its rows are named."""

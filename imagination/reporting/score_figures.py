@@ -78,9 +78,7 @@ def precision_recall(tally: Tally) -> tuple[Float64[np.ndarray, " t"], Float64[n
     return correct / predicted[some], correct / np.maximum(tally[some, 2], 1)
 
 
-def draw_precision_recall(
-    tallies: Mapping[str, Tally], chosen: Mapping[str, float], title: str
-) -> Figure:
+def draw_precision_recall(tallies: Mapping[str, Tally], chosen: Mapping[str, float], title: str) -> Figure:
     """Precision over recall of each approach, all thresholds; a ring at the one that was chosen."""
     colours = style.colours(list(tallies))
     figure = Figure(figsize=(4.4, 3.9), layout="constrained")
@@ -89,7 +87,12 @@ def draw_precision_recall(
         precision, recall = precision_recall(tally)
         single = len(np.unique(recall)) == 1
         axis.plot(
-            recall, precision, "o" if single else "-", color=colours[name], label=style.label(name), markersize=5
+            recall,
+            precision,
+            "o" if single else "-",
+            color=colours[name],
+            label=style.label(name),
+            markersize=5,
         )
         if name in chosen:
             at = round(chosen[name] * 100) - 1
@@ -102,7 +105,9 @@ def draw_precision_recall(
 
 def reliability(tally: Tally) -> tuple[Float64[np.ndarray, " b"], Float64[np.ndarray, " b"]]:
     """Of each tenth of the scores that holds any cell: the mean score, and the share of its cells that are truth."""
-    steps = np.append(tally[:-1, :2] - tally[1:, :2], tally[-1:, :2], axis=0)  # from each threshold to the next
+    steps = np.append(
+        tally[:-1, :2] - tally[1:, :2], tally[-1:, :2], axis=0
+    )  # from each threshold to the next
     scores = (np.arange(len(tally)) + 1.5) / 100
     found = []
     for low in range(0, len(tally) + 1, (len(tally) + 1) // BINS):
@@ -130,7 +135,9 @@ def draw_reliability(tallies: Mapping[str, Tally], title: str) -> Figure:
         means, shares = reliability(tally)
         text = CELLS[name] if named else style.label(name)
         axis.plot(means, shares, "o-", color=colours[name], label=text, markersize=4)
-    _unit_square(axis, "score" if not named else "predicted probability", "share of cells that are truth", title)
+    _unit_square(
+        axis, "score" if not named else "predicted probability", "share of cells that are truth", title
+    )
     _legend_below(figure, *axis.get_legend_handles_labels())
     return figure
 

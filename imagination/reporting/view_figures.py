@@ -25,7 +25,7 @@ SEEN, UNSEEN = (255, 255, 255), (234, 236, 240)
 
 
 def draw_singles(views: Sequence[SingleView], resolution: float) -> Figure:
-    """One row for each view: image, V_label over what depth saw, probabilities, the map of each approach with its IoU."""
+    """A row for each view: image, V_label over what depth saw, probabilities, each approach's map with its IoU."""
     names = list(views[0].predicted)
     imagined = bool(np.isfinite(views[0].probabilities).all())  # there was a unit
     heads = ["Image", "Label", *(["Probability"] if imagined else []), *map(style.label, names)]

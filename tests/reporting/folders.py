@@ -10,7 +10,7 @@ import yaml
 from imagination.evaluation import map_files, single_views
 from imagination.evaluation.map_files import SavedMaps
 from imagination.evaluation.runs import Run
-from imagination.evaluation.single_views import CELLS, SingleView, Singles
+from imagination.evaluation.single_views import CELLS, Singles, SingleView
 from imagination.geometry.grid import Grid
 
 APPROACHES = ["seg_gt", "imagination_seen", "imagination", "mine"]

@@ -76,7 +76,10 @@ def test_maps_are_the_right_way_up_and_to_scale() -> None:
 
 
 def test_known_approaches_keep_their_colours_and_others_get_their_own() -> None:
-    few, many = style.colours(["imagination", "mine"]), style.colours(["seg_gt", "mine", "imagination", "yours"])
+    few, many = (
+        style.colours(["imagination", "mine"]),
+        style.colours(["seg_gt", "mine", "imagination", "yours"]),
+    )
     assert few["imagination"] == many["imagination"]
     assert few["mine"] == many["mine"]
     assert len(set(many.values())) == 4

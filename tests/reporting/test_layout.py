@@ -28,7 +28,10 @@ def recount(folder: Path, approach: str, category: str, width: float) -> np.ndar
     totals: dict[str, np.ndarray] = {}
     for path in sorted((folder / "maps").glob(f"*_{width:g}m_*.npz")):
         with np.load(path, allow_pickle=False) as maps:
-            place, layer = maps["approaches"].tolist().index(approach), maps["categories"].tolist().index(category)
+            place, layer = (
+                maps["approaches"].tolist().index(approach),
+                maps["categories"].tolist().index(category),
+            )
             truth = maps["truth"][layer]
             predicted = maps["level"][place, layer] >= maps["threshold"][place, layer]
             if maps["present"][layer]:
@@ -51,7 +54,9 @@ def test_tables_agree_with_a_recount_from_the_saved_maps(folder: Path, tables: d
                     at = head.index(f"{category}_{width:g}m")
                     assert float(row[at]) == pytest.approx(expected, abs=6e-4)
                     low, high = float(row[at + 1]), float(row[at + 2])
-                    each = homes[:, 0] / homes[:, 1:].sum(axis=1) if stem == "iou" else len(homes) * homes[:, 0]
+                    each = (
+                        homes[:, 0] / homes[:, 1:].sum(axis=1) if stem == "iou" else len(homes) * homes[:, 0]
+                    )
                     assert each.min() - 6e-4 <= low <= high <= each.max() + 6e-4
                     assert low < high
 
@@ -120,7 +125,9 @@ def test_markdown_and_latex_have_a_cell_for_each_column(tables: dict[str, Layout
 
 
 def test_names_cannot_break_a_table() -> None:
-    table = Layout("x", "a_b", "50 % & more", [Column(2.0, "arm|chair_1")], [("", [Line("$me", [None])])], ".3f")
+    table = Layout(
+        "x", "a_b", "50 % & more", [Column(2.0, "arm|chair_1")], [("", [Line("$me", [None])])], ".3f"
+    )
     assert r"a\_b. 50 \% \& more" in layout.to_latex(table)
     assert r"arm|chair\_1" in layout.to_latex(table) and r"\$me & --" in layout.to_latex(table)
     assert r"arm\|chair_1" in layout.to_markdown(table) and "| $me | – |" in layout.to_markdown(table)

@@ -57,9 +57,12 @@ def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
     assert [len(lines) for _, lines in table.blocks] == [6, 6, 6, 6]
     assert table.blocks[0][1][0].name == "kernels.imaginable=0.6, model.alpha_max=10"
     first = read(sweep / "0").sections[0].layouts[0].blocks[0][1][0].cells[0]
-    assert first and table.blocks[0][1][0].cells[0] == first._replace(strong=table.blocks[0][1][0].cells[0].strong)  # type: ignore[union-attr]
+    assert first and table.blocks[0][1][0].cells[0] == first._replace(
+        strong=table.blocks[0][1][0].cells[0].strong
+    )  # type: ignore[union-attr]
     stems = [drawing.stem for section in content.sections for drawing in section.drawings]
-    assert stems == [f"ablation_{key}_{of}" for key in ("kernels_imaginable", "model_alpha_max") for of in ("chair", "bed")]
+    keys = "kernels_imaginable", "model_alpha_max"
+    assert stems == [f"ablation_{key}_{of}" for key in keys for of in ("chair", "bed")]
 
 
 def test_what_was_swept_is_found_in_configs_that_name_no_choices(sweep: Path) -> None:
@@ -82,13 +85,17 @@ def test_failed_and_missing_members_are_told_and_the_rest_is_shown(sweep: Path) 
     shutil.rmtree(sweep / "5")
     shutil.rmtree(sweep / "1" / "tables")
     shutil.rmtree(sweep / "1" / "maps")
-    (sweep / "1" / "run.log").write_text("INFO\nERROR root: The run failed\nTraceback …\nRuntimeError: out of luck\n")
+    (sweep / "1" / "run.log").write_text(
+        "INFO\nERROR root: The run failed\nTraceback …\nRuntimeError: out of luck\n"
+    )
     (sweep / "2" / "config.yaml").write_text("a: [")
     for name in ("tables", "maps"):
         shutil.rmtree(sweep / "3" / name)
     content = read(sweep)
     told = "\n".join(content.problems)
-    assert "member 1 (kernels.imaginable=0.6, model.alpha_max=30) is failed: RuntimeError: out of luck" in told
+    assert (
+        "member 1 (kernels.imaginable=0.6, model.alpha_max=30) is failed: RuntimeError: out of luck" in told
+    )
     assert "member 2 (kernels.imaginable=1.0, model.alpha_max=10) is failed: config" in told
     assert "member 3" in told and "unfinished" in told
     assert "member 5 (kernels.imaginable=1.4, model.alpha_max=30) is missing" in told
@@ -122,3 +129,25 @@ def test_a_sweep_that_left_nothing_is_refused(tmp_path: Path) -> None:
     (tmp_path / "0").mkdir()
     with pytest.raises(UserError, match="none of the 1 members"):
         read(tmp_path)
+
+
+def test_the_sweeps_own_list_of_members_is_believed(sweep: Path) -> None:
+    """As imagination.sweep writes it: a failed member has its problem there, one that never began has no folder."""
+    (sweep / "multirun.yaml").unlink()
+    shutil.rmtree(sweep / "4")
+    lines = ["folder,key,state,score,overrides,problem"]
+    for number, (delta, alpha) in enumerate((d, a) for d in ("0.6", "1.0", "1.4") for a in ("10", "30")):
+        state, problem = {2: ("failed", "out of luck"), 4: ("missing", ""), 6: ("missing", "")}.get(
+            number, ("done", "")
+        )
+        lines.append(
+            f"{number},hash,{state},,+experiment=made kernels.imaginable={delta} model.alpha_max={alpha},{problem}"
+        )
+    (sweep / "members.csv").write_text("\n".join(lines) + "\n")
+    told = read(sweep).problems
+    assert told[0] == "member 2 (kernels.imaginable=1.0, model.alpha_max=10) is failed: out of luck"
+    assert told[1].startswith("member 4 (kernels.imaginable=1.4, model.alpha_max=10) is missing")
+    assert len(told) == 2
+    (sweep / "members.csv").write_text("folder,state\nx,done\n")
+    with pytest.raises(UserError, match="members.csv: is damaged"):
+        read(sweep)

@@ -109,7 +109,9 @@ def test_the_command_tells_mistakes_shortly(command: Command) -> None:
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome is installed; apt-get install chromium")
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_in_a_browser_nothing_overflows_and_every_picture_loads(folder: Path, tmp_path: Path, dark: bool) -> None:
+def test_in_a_browser_nothing_overflows_and_every_picture_loads(
+    folder: Path, tmp_path: Path, dark: bool
+) -> None:
     """At the width of a phone and of a desktop, side by side in frames of one document that measures them."""
     probe = tmp_path / "probe.html"
     widths = 390, 1400

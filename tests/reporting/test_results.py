@@ -18,11 +18,15 @@ def test_missing_runs_are_told(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run")
     table = folder / "tables" / "runs.csv"
     kept = [
-        line for line in table.read_text().splitlines() if not line.startswith("imagination,chair,2,test_0001")
+        line
+        for line in table.read_text().splitlines()
+        if not line.startswith("imagination,chair,2,test_0001")
     ]
     table.write_text("\n".join(line for line in kept if not line.startswith("mine,bed,3")) + "\n")
     told = problems(folder)
-    assert "imagination, chair, cell width 2 m: 2 of 6 runs missing (test_0001 set 0, test_0001 set 1)" in told
+    assert (
+        "imagination, chair, cell width 2 m: 2 of 6 runs missing (test_0001 set 0, test_0001 set 1)" in told
+    )
     assert "mine, bed, cell width 3 m: 4 of 4 runs missing (test_0000 set 0" in told
     assert len(told.splitlines()) == 2
     stems = {table.stem for section in read(folder).sections for table in section.layouts}
