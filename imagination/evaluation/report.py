@@ -59,8 +59,8 @@ def write(
 ) -> None:
     """Write the tables into `folder`, each whole or not at all.
 
-    These are mapping.csv, paired.csv, runs.csv and mapping.md, provenance.json, and where there is something to say training.csv and
-    furniture.csv.
+    These are mapping.csv, paired.csv, runs.csv, mapping.md and provenance.json, and where there is something to say
+    training.csv and furniture.csv.
     """
     mapping = tables.mapping_rows(report, protocol, resolution)
     paired = tables.paired_rows(report, protocol)
