@@ -86,7 +86,7 @@ class _Place(NamedTuple):
     iou: float
     size: int
     run: Run
-    index: int
+    at: int
 
 
 def ranked_by(approaches: Sequence[str]) -> str:
@@ -129,19 +129,19 @@ def measure(
             truth, score = view.label, view.scores[ranked_by(names)]
             for name in names:
                 tallies[name, view.category] += tally(view.scores[name], truth, THRESHOLDS)
-            for part, mask in zip(CELLS, (True, view.seen, ~view.seen), strict=True):
+            for part, mask in zip(CELLS, (view.seen | True, view.seen, ~view.seen), strict=True):
                 if imagined:
                     inside = np.where(mask, view.probabilities, np.float32(0))
                     cells[part, view.category] += tally(inside, truth & mask, THRESHOLDS)
             predicted = score >= np.float32(choices[ranked_by(names), view.category].threshold)
             value = float(iou(count(predicted, truth)))
-            places[view.category].append(_Place(value, int(truth.sum()), run, view.index))
+            places[view.category].append(_Place(value, int(truth.sum()), run, view.at))
     shown = []
     for category, ranked in places.items():
         for rank, place in picks(ranked, subject.setting.ego.resolution).items():
             kept = views_of(observer, place.run, looks)
             for view in _views(protocol, subject, kept, choices, imaginable):
-                if (view.category, view.index) == (category, place.index):
+                if (view.category, view.at) == (category, place.at):
                     shown.append(_shown(view, rank, place, kept, choices))
     return Singles(shown, tallies, cells, views, subject.setting.ego.resolution)
 
@@ -165,7 +165,7 @@ class _View(NamedTuple):
     """One view of one category: the score of each approach, finished as chosen."""
 
     category: str
-    index: int
+    at: int
     seen: Bool[np.ndarray, "v v"]
     label: Bool[np.ndarray, "v v"]
     probabilities: Float32[np.ndarray, "v v"]
@@ -176,7 +176,7 @@ def _views(
     protocol: MappingProtocol, subject: Subject, views: Views, choices: Choices, imaginable: int
 ) -> Iterator[_View]:
     setting = subject.setting
-    needs = {approach.evidence.needs for approach in protocol.approaches.values()} - {None}
+    needs = {need for approach in protocol.approaches.values() if (need := approach.evidence.needs)}
     predictions = subject.predict(views, (needs | {"maps"}) & subject.predict.gives)
     labels = label(views["object"][:, setting.layers], views["seen"][:, None], imaginable)
     statements: dict[object, Statement] = {}
@@ -208,8 +208,8 @@ def _shown(view: _View, rank: str, place: _Place, views: Views, choices: Choices
         for name, score in view.scores.items()
     }
     return SingleView(
-        rank, view.category, place.run.home, views["pose"][view.index], place.iou, views["rgb"][view.index], view.seen,
-        views["occupied"][view.index], view.label, view.probabilities, predicted,
+        rank, view.category, place.run.home, views["pose"][view.at], place.iou, views["rgb"][view.at], view.seen,
+        views["occupied"][view.at], view.label, view.probabilities, predicted,
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ def read(folder: Path) -> dict[str, Curve]:
 
     events = EventAccumulator(str(folder), size_guidance={"scalars": 0})
     events.Reload()
-    curves = {}
+    curves: dict[str, Curve] = {}
     for tag in events.Tags()["scalars"]:
         points = events.Scalars(tag)
         curves[tag] = [point.step for point in points], [point.value for point in points]

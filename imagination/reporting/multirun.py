@@ -141,7 +141,8 @@ def list_of(path: Path) -> list[tuple[dict[str, str], str, str]]:
     every = {str(number): values for number, (values, _, _) in enumerate(told)}
     kept = _differing(every)
     return [
-        ({key: of[str(number)] for key, of in kept.items()}, *rest) for number, (_, *rest) in enumerate(told)
+        ({key: of[str(number)] for key, of in kept.items()}, state, problem)
+        for number, (_, state, problem) in enumerate(told)
     ]
 
 

@@ -1,5 +1,7 @@
 """The paper's own results, on Matterport3D: its tables "IoU of the Global Map" and "Number of Correct Pixels"."""
 
+from collections.abc import Mapping, Sequence
+
 SOURCE = "Paper, on Matterport3D"
 """How its rows are named."""
 
@@ -26,7 +28,7 @@ Numbers = dict[tuple[str, float, str], float]
 """By approach, cell width in metres and category."""
 
 
-def _numbers(rows: dict[str, tuple[float, ...]]) -> Numbers:
+def _numbers(rows: Mapping[str, Sequence[float]]) -> Numbers:
     return {
         (name, *column): value
         for name, values in rows.items()
@@ -35,4 +37,4 @@ def _numbers(rows: dict[str, tuple[float, ...]]) -> Numbers:
 
 
 IOU: Numbers = _numbers(_IOU)
-CORRECT_PIXELS: Numbers = _numbers(dict(_CORRECT))
+CORRECT_PIXELS: Numbers = _numbers(_CORRECT)

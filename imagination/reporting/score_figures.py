@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float64
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -70,7 +71,7 @@ def draw_distribution(counts: Mapping[Key, Runs], category: str, measure: str) -
     return figure
 
 
-def precision_recall(tally: Tally) -> tuple[Float64[np.ndarray, " t"], Float64[np.ndarray, " t"]]:
+def precision_recall(tally: Tally) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
     """Precision and recall at each threshold at which anything is predicted."""
     predicted = tally[:, 0] + tally[:, 1]
     some = predicted > 0
@@ -214,7 +215,7 @@ def _unit_square(axis: Axes, across: str, up: str, title: str) -> None:
     axis.grid()
 
 
-def _legend_below(figure: Figure, handles: Sequence[object], labels: Sequence[str]) -> None:
+def _legend_below(figure: Figure, handles: Sequence[Artist], labels: Sequence[str]) -> None:
     """Below the axes, two or three names a row."""
     columns = 3 if len(labels) > 4 else 2
     figure.legend(handles, labels, loc="outside lower center", ncols=columns)

@@ -71,13 +71,13 @@ def test_best_median_and_worst_are_by_iou_then_by_size() -> None:
 
     views = [place(0.0, 20, 0), place(0.0, 90, 1), place(0.4, 30, 2), place(0.9, 40, 3), place(0.9, 50, 4),
              place(1.0, 3, 5), place(1.0, 0, 6)]  # fmt: skip
-    assert {rank: found.index for rank, found in picks(views, 0.1).items()} == {
+    assert {rank: found.at for rank, found in picks(views, 0.1).items()} == {
         "best": 4,
         "median": 2,
         "worst": 1,
     }
     small = [place(0.2, 1, 0), place(0.7, 2, 1)]  # none has a tenth of a square metre
-    assert picks(small, 0.1)["best"].index == 1
+    assert picks(small, 0.1)["best"].at == 1
     assert picks([place(0.0, 0, 0)], 0.1) == {}
 
 
