@@ -77,7 +77,7 @@ class Content(NamedTuple):
 def of_run(results: Results) -> Content:
     """Everything that a run's folder has to tell."""
     made = [
-        Section("Global maps", layouts=tuple(layout.tables(results))),
+        Section("Global maps", layouts=tuple(layout.tables(results)), plain=tuple(_meanings(results))),
         Section(
             "Distributions over runs",
             "A run is one home and viewpoint set. Boxes span the quartiles, whiskers reach the last run within "
@@ -129,6 +129,16 @@ def commands(results: Results) -> list[str]:
 def as_yaml(results: Results) -> str:
     """The resolved config, keys in the order of its file."""
     return yaml.safe_dump(results.config, sort_keys=False, allow_unicode=True)
+
+
+def _meanings(results: Results) -> Iterator[Plain]:
+    rows = [
+        {"approach": style.label(name), "meaning": style.MEANINGS[name]}
+        for name in results.approaches
+        if name in style.MEANINGS
+    ]
+    if rows:
+        yield Plain("What the rows mean", rows)
 
 
 def _distributions(results: Results) -> Iterator[Drawing]:
