@@ -1,11 +1,11 @@
 """Distributions of IoU and correct pixels, precision over recall, reliability, training curves."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float64
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -215,7 +215,7 @@ def _unit_square(axis: Axes, across: str, up: str, title: str) -> None:
     axis.grid()
 
 
-def _legend_below(figure: Figure, handles: Sequence[Artist], labels: Sequence[str]) -> None:
+def _legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:
     """Below the axes, two or three names a row."""
     columns = 3 if len(labels) > 4 else 2
     figure.legend(handles, labels, loc="outside lower center", ncols=columns)

@@ -101,7 +101,7 @@ def test_the_same_report_gives_the_same_bytes(tmp_path: Path, report: Report) ->
         figures.write(tmp_path / folder / "figures", report, rows)
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
     assert [path.name for path in files] == [
-        "iou.png", "maps_chair.png", "mapping.csv", "mapping.md", "paired.csv", "runs.csv",
+        "iou.png", "maps_chair.png", "mapping.csv", "mapping.md", "paired.csv", "provenance.json", "runs.csv",
     ]  # fmt: skip
     for path in files:
         assert (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes()
@@ -132,7 +132,7 @@ def test_the_screen_shows_every_row_in_eighty_columns(report: Report) -> None:
 
 def test_colours_tell_correct_false_and_missed_apart(report: Report) -> None:
     example = report.examples[0]
-    image = figures.agreement_image(example, example.predicted["imagination_seen"])
+    image = figures.agreement_image(example, np.roll(example.truth, 1, axis=0))
     assert tuple(image[5, 5]) == figures.CORRECT
     assert tuple(image[9, 5]) == figures.FALSE
     assert tuple(image[4, 5]) == figures.MISSED
