@@ -41,6 +41,10 @@ class MappingEvaluation(Callback):
         self.homes = int(check_range("mapping_evaluation.homes", homes, 1, 100_000))
         self.folder = Path(folder)
 
+    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        networks = subject_of(_data(trainer), [cast(Network, pl_module)], keep=False).predict
+        self.protocol.available(networks.gives)  # refused before training, not after it
+
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if (trainer.current_epoch + 1) % self.every_n_rounds == 0 and trainer.is_global_zero:
             with stage("evaluation"):

@@ -18,7 +18,7 @@ from imagination.errors import UserError, check_choice, check_range
 from imagination.evaluation.approaches import NEEDS, Approach, Predictions, Setting
 from imagination.evaluation.map_files import SavedMaps
 from imagination.evaluation.measuring import Arrays, Plan, maps_of, measure_run, tally_run
-from imagination.evaluation.outcome import Choices, Example, Key, Report
+from imagination.evaluation.outcome import Choices, Counts, Example, Key, Report
 from imagination.evaluation.runs import Looks, Run, render, runs_of, views_of
 from imagination.evaluation.selection import THRESHOLDS, choose
 from imagination.progress import progress
@@ -27,6 +27,9 @@ from imagination.views.pool import ScenePool
 
 KIND = "evaluation_results"
 """Name of finished runs in the cache."""
+
+COUNTED = "counts", "counts_shuffled", "counts_seen", "snap_distance", "first_person"
+"""What is kept of every run's arrays until all are there; its maps are not."""
 
 
 @runtime_checkable
@@ -162,44 +165,48 @@ class MappingProtocol:
         """
         present = homes_with(subject, homes)
         plan, categories = self._plan(subject), subject.setting.categories
-        counted: dict[str, dict[Key, list[Int64[np.ndarray, 3]]]] = {
-            kind: {Key(*key): [] for key in product(self.approaches, present, map(float, self.cell_widths))}
-            for kind in ("counts", "counts_shuffled", "counts_seen")
-        }
-        first_person = np.zeros((len(categories), 2), np.int64)
+        measured: list[tuple[Run, Arrays]] = []
         examples: list[Example] = []
-        snaps = []
         for run, arrays in self._each(subject, homes, measure_run, (choices,), title, silent):
             maps = maps_of(run, plan, arrays)
             save(maps.cropped())
-            snaps.append(arrays["snap_distance"])
-            first_person += arrays["first_person"]
-            for (layer, category), (place, name) in product(
-                enumerate(categories), enumerate(self.approaches)
-            ):
-                if run.home in present[category]:
-                    for kind, of_kind in counted.items():
-                        of_kind[Key(name, category, run.cell_width)].append(arrays[kind][place, layer])
+            measured.append((run, {name: arrays[name] for name in COUNTED}))
             examples += [
                 _example(maps, layer)
                 for layer, category in enumerate(categories)
                 if run.number == 0 and run.home == present[category][0]
             ]
-        by_home = {
-            kind: {key: np.stack(rows).reshape(-1, self.viewpoint_sets, 3) for key, rows in of_kind.items()}
-            for kind, of_kind in counted.items()
-        }
         return Report(
-            by_home["counts"],
-            by_home["counts_shuffled"],
+            self._by_key("counts", measured, categories, present),
+            self._by_key("counts_shuffled", measured, categories, present),
             choices,
             present,
             {category: [home for home in homes if home not in names] for category, names in present.items()},
             examples,
-            snaps,
-            by_home["counts_seen"],
-            _ratios(first_person, categories) if "images" in plan.needs else {},
+            [arrays["snap_distance"] for _, arrays in measured],
+            self._by_key("counts_seen", measured, categories, present),
+            _ratios(measured, categories) if "images" in plan.needs else {},
         )
+
+    def _by_key(
+        self,
+        kind: str,
+        measured: Sequence[tuple[Run, Arrays]],
+        categories: Sequence[str],
+        present: Mapping[str, Sequence[str]],
+    ) -> Counts:
+        """Counts of one kind, of the homes that contain the category."""
+        counts = {}
+        for (place, name), (layer, category), width in product(
+            enumerate(self.approaches), enumerate(categories), map(float, self.cell_widths)
+        ):
+            rows = [
+                arrays[kind][place, layer]
+                for run, arrays in measured
+                if run.cell_width == width and run.home in present[category]
+            ]
+            counts[Key(name, category, width)] = np.stack(rows).reshape(-1, self.viewpoint_sets, 3)
+        return counts
 
     def _plan(self, subject: Subject) -> Plan:
         return Plan(self.approaches, subject.setting, Looks(self.seed, self.orientations))
@@ -221,32 +228,24 @@ class MappingProtocol:
         render(subject.pool, runs, plan.looks, silent)
         observer, cache = subject.pool.observer, subject.pool.observer.cache
         networks = subject.predict.fingerprint if subject.keep else ""
-        waiting: deque[tuple[dict[str, Any], Future[Arrays]]] = deque()
+        waiting: deque[tuple[dict[str, Any], Future[Arrays] | Arrays]] = deque()
 
-        def start(run: Run) -> None:
-            key = {
-                "task": task.__name__,
-                "arguments": repr(arguments),
-                "networks": networks,
-                **plan.key(observer, run),
-            }
-            finished: Future[Arrays] = Future()
+        def start(run: Run) -> tuple[dict[str, Any], Future[Arrays] | Arrays]:
+            own = {"task": task.__name__, "arguments": repr(arguments), "networks": networks}
+            key = {**own, **plan.key(observer, run)}
             if subject.keep and (kept := cache.load(KIND, key)) is not None:
-                finished.set_result(kept)
-            else:
-                predictions = self._predict(subject, plan, views_of(observer, run, plan.looks))
-                finished = subject.pool.submit(task, run.home, run, plan, *arguments, predictions)
-            waiting.append((key, finished))
+                return key, kept
+            predictions = self._predict(subject, plan, views_of(observer, run, plan.looks))
+            return key, subject.pool.submit(task, run.home, run, plan, *arguments, predictions)
 
-        ahead = subject.pool.ahead
         for place, run in enumerate(runs if silent else progress(runs, title)):
-            for later in runs[place + len(waiting) : place + 1 + ahead]:
-                start(later)
-            key, future = waiting.popleft()
-            arrays = future.result()
-            if subject.keep:
-                cache.store(KIND, key, arrays)
-            yield run, arrays
+            waiting.extend(map(start, runs[place + len(waiting) : place + 1 + subject.pool.ahead]))
+            key, result = waiting.popleft()
+            if isinstance(result, Future):
+                result = result.result()
+                if subject.keep:
+                    cache.store(KIND, key, result)
+            yield run, result
 
     def _predict(self, subject: Subject, plan: Plan, views: Views) -> Predictions:
         if len(views["pose"]):
@@ -264,8 +263,9 @@ def _example(maps: SavedMaps, layer: int) -> Example:
     )
 
 
-def _ratios(pixels: Int64[np.ndarray, "c 2"], categories: Sequence[str]) -> dict[str, float]:
-    """Intersection over union of each category."""
+def _ratios(measured: Sequence[tuple[Run, Arrays]], categories: Sequence[str]) -> dict[str, float]:
+    """IoU of the predicted segmentation of all images, for each category."""
+    pixels = sum((arrays["first_person"] for _, arrays in measured), np.zeros((len(categories), 2), np.int64))
     return {
         name: both / max(either, 1) for name, (both, either) in zip(categories, pixels.tolist(), strict=True)
     }

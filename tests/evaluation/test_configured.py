@@ -141,7 +141,7 @@ def test_one_segmentation_network_is_enough(chair: Checkpoint) -> None:
 def test_the_study_adds_its_rows(chair: Checkpoint) -> None:
     config = configured([chair], ["ckpt=a", "+study=paper"])
     assert config.name == "study" and config.evaluation.known_homes == config.scale.homes.test
-    assert list(config.evaluation.approaches)[-2:] == ["imagination_rgb_shuffled", "oracle"]
+    assert list(config.evaluation.approaches)[-2:] == ["rgb_shuffled", "oracle"]
 
 
 @pytest.mark.parametrize("override", ["unit_categories=[chair,bed]", "scale.resolution=0.1"])
