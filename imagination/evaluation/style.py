@@ -21,7 +21,7 @@ MEANINGS = {
     "seg_gt": "true first-person segmentation, projected by depth: ordinary semantic mapping with a perfect network",
     "seg_hrnet": "HRNetV2's first-person segmentation, projected by depth: ordinary semantic mapping",
     "imagination_seen": "the unit's prediction in cells that depth saw",
-    "seen_dilated": "imagination (seen), grown by the best kernel of the validation homes: does more than growing help?",
+    "seen_dilated": "imagination (seen), grown by the best kernel: does imagination do more than grow?",
     "imagination": "the unit's whole valid prediction, also where nothing was seen",
     "imagination_rgb_shuffled": "imagination, each view with the colours of another one: does the unit look at them?",
     "oracle": "the truth within the imaginable area of the views: the most that can be imagined",
