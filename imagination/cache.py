@@ -151,10 +151,10 @@ class Cache:
 
 
 @functools.cache
-def code_version() -> str:
-    """Hash of the code that makes entries, and of the library that casts its rays."""
+def code_version(packages: tuple[str, ...] = MAKERS) -> str:
+    """Hash of the code that makes entries, or of other packages', and of the library that casts its rays."""
     digest = hashlib.sha256(version("embreex").encode())
-    for package in MAKERS:
+    for package in packages:
         for path in sorted((Path(__file__).parent / package).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -62,6 +62,8 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.encoder_shrink": (1, 64, ""),
     "scale.viewpoint_sets": (1, 10_000, ""),
     "scale.orientations": (1, 1000, ""),
+    "scale.hrnet_rounds": (1, 10**9, "rounds"),
+    "scale.hrnet_eval_every": (1, 1_000_000, "rounds"),
     "scale.workers": (0, 1024, "processes"),
     "trainer.max_epochs": (1, 10**9, "rounds"),
     "trainer.devices": (1, 1, "device"),  # several need views of their own for each rank

@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -98,21 +98,21 @@ def _new(config: DictConfig) -> Path:
 
 def _begin(folder: Path, config: DictConfig) -> Run:
     config.paths.run = str(folder)
-    config.choices = choices()
+    config.choices = choices(HydraConfig.get().overrides.task)
     runs.write_text(folder / runs.COMPOSED, OmegaConf.to_yaml(config) + END)
     runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
     alone = HydraConfig.get().mode != RunMode.MULTIRUN
     return Run(folder, config, None, runs.point_latest(folder) if alone else None)
 
 
-def choices() -> list[str]:
-    """The overrides of this command line that say what is trained, e.g. "+experiment=chair_unet" or "seed=3"."""
+def choices(overrides: Sequence[str]) -> list[str]:
+    """Those overrides that say what is trained, e.g. "+experiment=chair_unet" or "seed=3"."""
 
     def kept(text: str) -> bool:
         top = re.split("[=@./]", text.lstrip("+~"))[0]
         return top not in WHERE_AND_HOW and "_target_" not in text and "${" not in text
 
-    return [text for text in HydraConfig.get().overrides.task if kept(text)]
+    return [text for text in overrides if kept(text)]
 
 
 def _existing(config: DictConfig) -> Path:

@@ -14,7 +14,7 @@ from imagination.config import command
 from imagination.errors import UserError, check_choice
 from imagination.progress import stage
 from imagination.resume import Run, opened
-from imagination.summary import egocentric, record_hyperparameters, summary
+from imagination.summary import record_hyperparameters, single_views, summary
 
 if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does without
     from lightning import LightningModule, Trainer
@@ -33,7 +33,7 @@ def main(config: DictConfig) -> float | None:
     with opened(config) as run:
         log.info("Run folder: %s\nWatch it: tensorboard --logdir %s", run.folder, run.folder.parent)
         trainer = train(run)
-        log.info("%s\n%s", egocentric(run, trainer), summary(run, best(run)))
+        log.info("%s\n%s", single_views(run, trainer), summary(run, best(run)))
         return best_score(trainer)
 
 

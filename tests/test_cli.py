@@ -1,10 +1,12 @@
 """Commands as a user runs them: what a run leaves behind, and what mistakes get."""
 
+import csv
 import os
 import signal
 import subprocess
 import sys
 import time
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,14 @@ from tests.conftest import ROOT, Command
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
 
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+ALIKE = "all_best", "all_shared", "bed_best", "table_best"
+"""Experiments that are put together from what others run."""
+
+
+@pytest.mark.parametrize(
+    "experiment",
+    [pytest.param(name, marks=pytest.mark.slow) if name in ALIKE else name for name in EXPERIMENTS],
+)
 def test_experiments_run_fast(command: Command, experiment: str) -> None:
     done = command("train", f"+experiment={experiment}", "scale=test", "trainer.fast_dev_run=true")
     assert done.returncode == 0, done.stderr
@@ -140,6 +149,32 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     text = (tmp_path / "told").read_text()
     assert "Traceback" not in text
     assert "Interrupted. Go on with: python -m imagination.train ckpt_path=outputs/chair_unet/" in text
+
+
+@pytest.mark.slow
+def test_the_study_runs_and_does_nothing_twice(command: Command, tmp_path: Path) -> None:
+    arguments = ["study", "scale=test", "experiments=[chair_unet,bed_unet,segmentation_hrnet]"]
+    done = command(*arguments, timeout=900)
+    assert done.returncode == 0, done.stderr
+    again = command(*arguments, timeout=900)
+    assert again.returncode == 0, again.stderr
+    assert again.stderr.count("already trained") == 3 and "training rounds" not in again.stderr
+    tables = [path / "tables" for path in sorted((tmp_path / "outputs" / "study").glob("evaluate_*"))]
+    assert len(tables) == 2
+    for name in ("mapping.csv", "paired.csv", "runs.csv", "training.csv", "furniture.csv"):
+        assert (tables[0] / name).read_bytes() == (tables[1] / name).read_bytes()
+    rows = list(csv.DictReader((tables[0] / "mapping.csv").read_text().splitlines()))
+    approaches = {
+        "seg_gt", "seg_hrnet", "imagination_seen", "seen_dilated", "imagination", "rgb_shuffled", "oracle",
+    }  # fmt: skip
+    assert {(row["approach"], row["category"], row["cell_width"]) for row in rows} == set(
+        product(approaches, ["chair", "bed"], ["3", "2.5"])
+    )
+    training = list(csv.DictReader((tables[0] / "training.csv").read_text().splitlines()))
+    views = {row["network"]: row["views"] for row in training}
+    assert views["segmentation_hrnet"] == views["chair_unet"]  # as many as the units had
+    samples = {row["network"]: int(row["samples"]) for row in training}
+    assert samples["segmentation_hrnet"] >= samples["chair_unet"]
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ class ReplayBufferCallback(Callback):
         aggregation_factor: share of a batch from older views, the rest from the newest collection.
         prefill_steps: collection steps before the first round, a multiple of `update_interval`.
         mirrored_share: of the views in batches, seen in a mirror.
+        collecting_rounds: rounds that collect; those after them train on what is there.
     """
 
     def __init__(
@@ -37,6 +38,7 @@ class ReplayBufferCallback(Callback):
         aggregation_factor: float,
         prefill_steps: int,
         mirrored_share: float,
+        collecting_rounds: int,
     ) -> None:
         self.buffer = ReplayBuffer(size, aggregation_factor)
         self.update_interval = int(
@@ -49,6 +51,7 @@ class ReplayBufferCallback(Callback):
             )
         self.prefill = prefill_steps // self.update_interval
         self.mirrored_share = check_range("mirrored_share", mirrored_share, 0.0, 1.0)
+        self.collecting_rounds = int(check_range("collecting_rounds", collecting_rounds, 1, 10**9, "rounds"))
         self._resident = 0  # collections that this process has inserted or passed over as too old
         self._started: dict[int, Callable[[], Views]] = {}
 
@@ -59,9 +62,11 @@ class ReplayBufferCallback(Callback):
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
         collector = data.collector(self.update_interval)
-        newest = self.prefill + trainer.current_epoch
-        self._fill(collector, newest, 2 * max(1, data.workers))
-        if trainer.current_epoch + 1 < (trainer.max_epochs or 0):
+        newest = self.prefill + min(trainer.current_epoch, self.collecting_rounds - 1)
+        self._fill(data, collector, newest, 2 * max(1, data.workers))
+        if trainer.current_epoch >= self.collecting_rounds:
+            self.buffer.settle()
+        elif trainer.current_epoch + 1 < min(trainer.max_epochs or 0, self.collecting_rounds):
             self._start(collector, newest + 1)  # renders while this round trains
         collected = (newest + 1) * collector.views_per_collection
         pl_module.log("data/collected_views", float(collected))
@@ -70,7 +75,7 @@ class ReplayBufferCallback(Callback):
             self.update_batches * data.batch_size * (trainer.current_epoch + 1) / collected,
         )
 
-    def _fill(self, collector: Collector, newest: int, ahead: int) -> None:
+    def _fill(self, data: SceneData, collector: Collector, newest: int, ahead: int) -> None:
         """Insert every collection up to `newest` that still has a place in the buffer."""
         kept = -(-self.buffer.size // collector.views_per_collection)
         wanted = range(max(self._resident, newest + 1 - kept), newest + 1)
@@ -78,7 +83,8 @@ class ReplayBufferCallback(Callback):
         for index in shown:
             for later in range(index, min(index + ahead, newest + 1)):
                 self._start(collector, later)
-            self.buffer.insert(self._started.pop(index)())
+            views = self._started.pop(index)()
+            self.buffer.insert({name: views[name] for name in data.fields})
         self._resident = newest + 1
 
     def _start(self, collector: Collector, index: int) -> None:

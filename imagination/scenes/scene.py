@@ -163,3 +163,15 @@ class SceneSource(Protocol):
 
     def fingerprint(self, scene: str) -> str:
         """A string that changes whenever what `load` returns changes; part of the keys of caches."""
+
+
+@runtime_checkable
+class SpareHomes(SceneSource, Protocol):
+    """A source with more homes like those of training, for learning how much unseen furniture costs."""
+
+    def spare(self, count: int) -> list[str]:
+        """Names of scenes that are furnished as training's and in no split.
+
+        Raises:
+            UserError: if there are not so many.
+        """

@@ -14,7 +14,7 @@ from torch.optim.lr_scheduler import LRScheduler
 from imagination.errors import check_range
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import kernel_cells
-from imagination.units.loss import imagination_loss, ranks
+from imagination.units.loss import Loss, ranks
 from imagination.units.metrics import THRESHOLDS, EgoScores, best_thresholds, named_scores
 from imagination.units.unit import Unit
 
@@ -24,19 +24,19 @@ neighbourhood (M*_seen made from the truth) uint8 (B, C, V, V). Further entries 
 
 
 class UnitTraining(LightningModule):
-    """Trains a unit with the paper's loss and scores its egocentric maps.
+    """Trains a unit and scores its egocentric maps.
 
     Args:
         unit: the network.
+        loss: between its logits and the label, e.g. the paper's `WeightedBCE`.
         ego: grid of the maps.
         neighbourhood: side of the kernel ε of M*_seen, metres.
         optimizer: makes the optimiser, given parameters.
         scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
-        alpha_max, gamma_max: caps of the loss's weights.
         valid_threshold: τ_valid, for M*_seen after prediction.
 
     Raises:
-        UserError: if a cap or a threshold is out of range.
+        UserError: if the threshold is out of range.
     """
 
     chosen: Tensor
@@ -44,21 +44,19 @@ class UnitTraining(LightningModule):
     def __init__(
         self,
         unit: Unit,
+        loss: Loss,
         ego: EgoGrid,
         neighbourhood: float,
         optimizer: Callable[..., Optimizer],
         scheduler: Callable[..., LRScheduler],
-        alpha_max: float = 30.0,
-        gamma_max: float = 10.0,
         valid_threshold: float = 0.5,
     ) -> None:
         super().__init__()
         self.unit = unit
+        self.loss = loss
         self.categories: list[str] = list(unit.categories)
         self.optimizer = optimizer
         self.scheduler = scheduler
-        self.alpha_max = check_range("model.module.alpha_max", alpha_max, 1, 10_000)
-        self.gamma_max = check_range("model.module.gamma_max", gamma_max, 1, 10_000)
         check_range("model.module.valid_threshold", valid_threshold, 0, 1)
         kernel = kernel_cells(neighbourhood, ego.resolution)
         self.val_scores = EgoScores(len(self.categories), kernel, valid_threshold)
@@ -83,13 +81,10 @@ class UnitTraining(LightningModule):
         return probabilities
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
-        loss, weights = imagination_loss(
-            self(batch), batch["label"], batch["neighbourhood"], self.alpha_max, self.gamma_max
-        )
+        loss, parts = self.loss(self(batch), batch["label"], batch["neighbourhood"])
         values = {
             "loss": loss,
-            "w_alpha": weights.alpha.mean(),
-            "w_gamma": weights.gamma.mean(),
+            **parts,
             "empty_labels": (batch["label"].amax(dim=(2, 3)) == 0).float().mean(),
             "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"],
         }
@@ -132,9 +127,7 @@ class UnitTraining(LightningModule):
 
     def _score(self, batch: Batch, stage: str, scores: EgoScores) -> None:
         logits = self(batch).float()
-        loss, _ = imagination_loss(
-            logits, batch["label"], batch["neighbourhood"], self.alpha_max, self.gamma_max
-        )
+        loss, _ = self.loss(logits, batch["label"], batch["neighbourhood"])
         self.log(f"{stage}/loss", loss, batch_size=len(logits), sync_dist=True)
         scores.update(logits.sigmoid(), batch["label"], batch["seen"])
 

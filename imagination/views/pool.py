@@ -41,6 +41,11 @@ class ScenePool:
         ]
         self._worker_of: dict[str, int] = {}
 
+    @property
+    def ahead(self) -> int:
+        """How many more tasks to submit than are waited for, so that no worker is idle."""
+        return 2 * len(self._workers)
+
     def submit(
         self,
         function: Callable[Concatenate[Observer, str, P], T],

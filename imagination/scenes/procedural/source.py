@@ -1,6 +1,7 @@
 """The scene source of procedural homes."""
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,12 @@ from imagination.scenes.procedural.stock import LABELS
 from imagination.scenes.scene import SPLITS, Scene, Split
 
 SOURCE = "procedural"
+
+MOST = 9999
+"""Homes of a split."""
+
+SPARE = "known"
+"""What homes with furniture that is known from training, none of which is trained on, are called."""
 
 
 class ProceduralHomes:
@@ -46,7 +53,7 @@ class ProceduralHomes:
         if set(splits) != set(SPLITS):
             raise UserError(f"procedural homes: got splits {sorted(splits)}, expected {', '.join(SPLITS)}")
         for split, count in splits.items():
-            check_range(f"procedural homes: splits.{split}", count, 0, 9999, "homes")
+            check_range(f"procedural homes: splits.{split}", count, 0, MOST, "homes")
         for category in categories:
             unknown = sorted(set(category.members.get(SOURCE, ())) - set(LABELS))
             if unknown:
@@ -82,6 +89,11 @@ class ProceduralHomes:
             )
         return [f"{split}_{number:04d}" for number in range(self._counts[split])]
 
+    def spare(self, count: int) -> list[str]:
+        """Names of homes furnished as training's whose numbers lie beyond all of training's."""
+        check_range("procedural homes: spare homes", count, 1, MOST, "homes")
+        return [f"{SPARE}_{number:04d}" for number in range(count)]
+
     def load(self, scene: str) -> Scene:
         """Build one home.
 
@@ -102,6 +114,8 @@ class ProceduralHomes:
         for split in SPLITS:
             if self._counts[split] and scene in self.scenes(split):
                 return split, int(scene.rsplit("_", 1)[1])
+        if re.fullmatch(rf"{SPARE}_\d{{4}}", scene):
+            return "train", MOST + 1 + int(scene.rsplit("_", 1)[1])
         have = ", ".join(f"{split}_0000 to {split}_{n - 1:04d}" for split, n in self._counts.items() if n)
         raise UserError(f"scene: got {scene!r}, expected one of: {have or '(no homes are configured)'}")
 
