@@ -126,12 +126,12 @@ class Checkpoint:
     @property
     def categories(self) -> list[str]:
         """What it predicts."""
-        return list(self.state[KEY]["values"]["unit_categories"])
+        return list(self.config.unit_categories)
 
     @property
     def predicts(self) -> str:
         """Egocentric "maps", or first-person "images"."""
-        return str(self.state[KEY]["values"]["model"].get("predicts", "maps"))
+        return str(self.config.model.predicts)
 
     @property
     def record(self) -> dict[str, Any]:

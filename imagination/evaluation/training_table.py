@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from imagination.checkpoints import KEY, Checkpoint
+from imagination.checkpoints import Checkpoint
 from imagination.evaluation.outcome import Report
 from imagination.evaluation.tables import Row
 
@@ -19,7 +19,7 @@ def training_rows(checkpoints: Sequence[Checkpoint], report: Report) -> list[Row
     """
     return [
         {
-            "network": str(checkpoint.state[KEY]["values"]["name"]),
+            "network": str(checkpoint.config.name),
             "category": name,
             **_counted(checkpoint),
             "iou_first_person": f"{report.first_person[name]:.4f}"

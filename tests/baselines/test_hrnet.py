@@ -43,7 +43,7 @@ def test_all_four_resolutions_reach_the_head() -> None:
         (1, 72, 4, 6),
         (1, 144, 2, 3),
     ]
-    assert network.decoder[0][0].in_channels == 18 + 36 + 72 + 144
+    assert network.decoder[0][0].in_channels == 16 + 32 + 64 + 128
     assert network(image).shape == (1, 5, 16, 24)
     network(image).sum().backward()
     assert all(weight.grad is not None for weight in network.parameters())
@@ -62,7 +62,7 @@ def test_images_of_any_size_will_do(size: tuple[int, int], enlarge: float, expec
 def test_one_batch_can_be_learnt_by_heart_and_segmenting_leaves_no_trace() -> None:
     trained, views = module(), batch()
     optimizer = trained.configure_optimizers()
-    for _ in range(30):
+    for _ in range(60):
         loss, _ = trained._compare(views)
         optimizer.zero_grad()
         loss.backward()
@@ -82,11 +82,11 @@ def test_scores_are_those_of_the_pixels() -> None:
         enable_model_summary=False, num_sanity_val_steps=0,
     )  # fmt: skip
     trained = module()
-    views = DataLoader([batch(2, 1), batch(1, 2)], batch_size=None)
+    views = DataLoader([batch(2, 1), batch(3, 2)], batch_size=None)
     trainer.fit(trained, views, views)
     logged = {name: float(value) for name, value in trainer.callback_metrics.items()}
     trained.eval()
-    pairs = [(trained.segment(one["rgb"], 32, 32), one["segmentation"]) for one in (batch(2, 1), batch(1, 2))]
+    pairs = [(trained.segment(one["rgb"], 32, 32), one["segmentation"]) for one in (batch(2, 1), batch(3, 2))]
     ious = []
     for place, name in ((1, "chair"), (2, "bed")):
         both = sum(int(((found == place) & (truth == place)).sum()) for found, truth in pairs)
