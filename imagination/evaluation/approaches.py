@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32
 
 from imagination.errors import check_choice, check_range
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import close, dilate, kernel_cells
 from imagination.geometry.projection import Band, project_categories
-from imagination.ground_truth.label import neighbourhood
+from imagination.mapping.module import Statement, valid_imagination
 from imagination.mapping.registration import Rule
 from imagination.views.collector import Views
 
@@ -32,13 +32,6 @@ class Setting(NamedTuple):
     layers: list[int]
     categories: list[str]
     table_size: int
-
-
-class Statement(NamedTuple):
-    """What views say: the values of cells, and which cells they have something to say about."""
-
-    values: Float32[np.ndarray, "n c v v"]
-    mask: Bool[np.ndarray, "n c v v"]
 
 
 @runtime_checkable
@@ -101,9 +94,7 @@ class SeenPrediction:
 
 @dataclass(frozen=True)
 class ValidPrediction:
-    """imagination: V_valid = prediction ∘ M*_seen, M*_seen = dilation([prediction >= tau_valid] ∘ V_seen, epsilon).
-
-    A view has something to say about the cells it saw, where it denies what is not valid, and about M*_seen.
+    """imagination: V_valid = prediction ∘ M*_seen; see `valid_imagination`.
 
     Attributes:
         threshold: tau_valid.
@@ -120,10 +111,8 @@ class ValidPrediction:
     def __call__(
         self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting
     ) -> Statement:
-        seen = views["seen"][:, None]
-        epsilon = kernel_cells(self.kernel, setting.ego.resolution)
-        valid = neighbourhood(probabilities >= self.threshold, seen, epsilon)
-        return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen)
+        seen, resolution = views["seen"][:, None], setting.ego.resolution
+        return valid_imagination(probabilities, seen, self.threshold, self.kernel, resolution)
 
 
 @dataclass(frozen=True)
