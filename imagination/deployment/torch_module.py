@@ -53,7 +53,9 @@ class Probabilities(nn.Module):
         every = []
         for index, unit in enumerate(self.units):
             prefix = f"{index}."
-            own = {name.removeprefix(prefix): mount_height for name in self.heights if name.startswith(prefix)}
+            own = {
+                name.removeprefix(prefix): mount_height for name in self.heights if name.startswith(prefix)
+            }
             every.append(functional_call(unit, own, (rgb, depth, occupied, seen)))
         return torch.cat(every, dim=1).float().sigmoid()
 
@@ -89,7 +91,9 @@ class ExportedModule:
                 warnings.simplefilter("ignore")
                 program = torch.export.load(path, extra_files=extra)
         except Exception as error:  # torch raises whatever the broken part makes it raise
-            raise UserError(f"{path}: cannot be read as a program of torch.export ({error}); export it again") from error
+            raise UserError(
+                f"{path}: cannot be read as a program of torch.export ({error}); export it again"
+            ) from error
         if not extra[ENTRY]:
             raise UserError(f"{path}: was not written by imagination.export")
         self.description = Description.from_json(extra[ENTRY], str(path))
