@@ -11,6 +11,9 @@ from imagination.mapping.module import Description, Observation
 KEY = "imagination"
 """Of our description in the file's metadata."""
 
+NAMES = ("rgb", "depth", "occupied", "seen", "mount_height")
+"""Of the inputs, in order."""
+
 
 class OnnxModule:
     """An .onnx file of imagination.export.
@@ -53,10 +56,11 @@ class OnnxModule:
 
 def arrays(observation: Observation) -> dict[str, np.ndarray]:
     """An observation as a unit takes it: a batch of one, with the types that training gave it."""
-    return {
-        "rgb": np.ascontiguousarray(observation.rgb.transpose(2, 0, 1)[None]),
-        "depth": observation.depth.astype(np.float16)[None, None],
-        "occupied": observation.occupied.astype(np.uint8)[None, None],
-        "seen": observation.seen.astype(np.uint8)[None, None],
-        "mount_height": np.array(observation.mount_height, np.float32),
-    }
+    values = (
+        np.ascontiguousarray(observation.rgb.transpose(2, 0, 1)[None]),
+        observation.depth.astype(np.float16)[None, None],
+        observation.occupied.astype(np.uint8)[None, None],
+        observation.seen.astype(np.uint8)[None, None],
+        np.array(observation.mount_height, np.float32),
+    )
+    return dict(zip(NAMES, values, strict=True))

@@ -120,7 +120,7 @@ class SideBySide:
 
     def __init__(self, modules: Sequence[ImaginationModule]) -> None:
         self.modules = list(modules)
-        self.description = reduce(_joined, (module.description for module in modules))
+        self.description = reduce(joined, (module.description for module in modules))
 
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
         return np.concatenate([module(observation) for module in self.modules])
@@ -155,7 +155,12 @@ def valid_imagination(
     return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen)
 
 
-def _joined(one: Description, other: Description) -> Description:
+def joined(one: Description, other: Description) -> Description:
+    """The description of units side by side.
+
+    Raises:
+        UserError: if they are of different cameras or grids, or share a category.
+    """
     for name in ("camera", "ego", "obstacles", "valid_threshold", "valid_kernel"):
         if getattr(one, name) != getattr(other, name):
             raise UserError(

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 
 from imagination.errors import UserError
 from imagination.geometry.grid import Grid
+from imagination.geometry.morphology import close, dilate, kernel_cells
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import project_depth
 from imagination.geometry.rgbd import Alignment, Placement, RgbdCamera
@@ -26,6 +27,10 @@ from imagination.mapping.registration import MovingAverage, Rule
 
 OCCUPANCY = "occupancy"
 """Name of the layer beside the categories'."""
+
+
+DASHES = 0.4
+"""Metres between two occupied cells of a view, between which nothing is called free; doors are wider."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +147,8 @@ class SemanticMapper:
             probabilities, view.seen[None], known.valid_threshold, known.valid_kernel, known.ego.resolution
         )
         values = np.concatenate([view.occupied[None].astype(np.float32), said.values])
-        mask = np.concatenate([(view.occupied | view.seen)[None], said.mask])
+        free = view.seen & ~around(view.occupied, known.ego.resolution)
+        mask = np.concatenate([(view.occupied | free)[None], said.mask])
         mapper = self._mapper_at(place.pose)
         outside = 0 if self.grows else mapper.outside(mask, place.pose)
         mapper.register(values, mask, place.pose)
@@ -213,7 +219,7 @@ class SemanticMapper:
     def _check_placement(self, place: Placement) -> None:
         """Compare where the camera sits with where the units' did."""
         theirs = self.description.camera
-        for name, got, trained, limit, close, unit in (
+        for name, got, trained, limit, little, unit in (
             (
                 "mount_height",
                 place.mount_height,
@@ -243,9 +249,22 @@ class SemanticMapper:
                     f"{told}; expected at most {limit} apart; check the poses' frame and the floor's height, train for "
                     "this camera, or raise the limit"
                 )
-            if abs(got - trained) > close and not self._warned:
+            if abs(got - trained) > little and not self._warned:
                 warnings.warn(f"{told}; the image is brought there as far as it can be", stacklevel=3)
         self._warned = True
+
+
+def around(occupied: Bool[np.ndarray, "v v"], resolution: float) -> Bool[np.ndarray, "v v"]:
+    """Cells that a view does not call free: occupied ones, those between two that are close, and those beside them.
+
+    Seen aslant, a wall comes in dashes, as far apart as pixels are there, with floor at its foot between them; views
+    from afar would erase it.
+
+    Args:
+        occupied: cells of one view.
+        resolution: metres per cell.
+    """
+    return dilate(close(occupied, kernel_cells(DASHES, resolution)), 3)
 
 
 def _corners(grid: Grid) -> tuple[Float64[np.ndarray, "1 2"], Float64[np.ndarray, "1 2"]]:
