@@ -11,11 +11,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from imagination import runs
 from imagination.config import command
-from imagination.deployment.load import load
-from imagination.errors import UserError, check_range
-from imagination.geometry.grid import Grid
-from imagination.mapping.files import load_layer
-from imagination.mapping.module import ImaginationModule
+from imagination.deployment import configured
+from imagination.errors import UserError
 from imagination.mapping.semantic import SemanticMapper
 from imagination.recordings.recording import BrokenRecordingError, Frames, Recording
 from imagination.viewers.viewer import Viewer
@@ -29,24 +26,18 @@ def validate(config: DictConfig) -> None:
     Raises:
         UserError: on the first value that is missing or out of range.
     """
-    runs.check_name(config.name)
-    for key, what in (("unit", "an .onnx, .pt2 or .ckpt file"), ("recording.path", "the recording")):
-        if OmegaConf.is_missing(
-            OmegaConf.select(config, key.rpartition(".")[0] or "") or config, key.rpartition(".")[2]
-        ):
-            raise UserError(f"{key}: got none, expected {what}: {key}=…")
-    check_range("aggregation_factor", config.aggregation_factor, 0.0, 1.0)
-    check_range("floor_height", config.floor_height, -1000.0, 1000.0, "m")
-    check_range("threshold", config.threshold, 0.0, 1.0, open_low=True)
+    configured.validate(config)
+    if OmegaConf.is_missing(config.recording, "path"):
+        raise UserError("recording.path: got none, expected a folder or a bag: recording.path=…")
 
 
 @command("map", validate)
 def main(config: DictConfig) -> None:
     """Map a recording."""
-    module = load(config.unit if isinstance(config.unit, str) else list(config.unit))
+    module = configured.module_of(config)
     recording: Recording = instantiate(config.recording, _convert_="all")
     viewer: Viewer = instantiate(config.viewer)
-    mapper = build(config, module, recording)
+    mapper = configured.mapper_of(config, module, recording.camera)
     folder = runs.create_folder(Path(config.paths.outputs) / config.name, runs.now())
     config.paths.run = str(folder)
     with runs.logging_to(folder / "run.log"):
@@ -60,25 +51,6 @@ def main(config: DictConfig) -> None:
         runs.point_latest(folder)
         log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
     sys.exit(status)
-
-
-def build(config: DictConfig, module: ImaginationModule, recording: Recording) -> SemanticMapper:
-    """The mapper for a recording."""
-    resolution = module.description.ego.resolution
-    grid = None
-    if config.extent is not None:
-        x, y = map(float, config.centre)
-        grid = Grid.centred(config.extent, resolution, (x, y))
-    return SemanticMapper(
-        module,
-        recording.camera,
-        instantiate(config.mapping.registration),
-        grid,
-        config.floor_height,
-        config.frame,
-        instantiate(config.limits),
-        load_layer(config.start) if config.start else None,
-    )
 
 
 def run(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:

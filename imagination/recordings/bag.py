@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from imagination.errors import UserError, check_range
 from imagination.geometry.camera import Camera
@@ -176,35 +175,14 @@ class BagRecording:
     def _camera(self) -> RgbdCamera:
         colour, depth = (self._intrinsics(kind) for kind in ("colour", "depth"))
         frame = self._infos["depth"].header.frame_id.lstrip("/")
-        return RgbdCamera(colour, depth if depth != colour else None, self._between(frame))
+        between = self.transforms.between(frame, self.frame) if frame != self.frame else np.eye(4)
+        return RgbdCamera(colour, depth if depth != colour else None, between)
 
     def _intrinsics(self, kind: str) -> Intrinsics:
         try:
             return intrinsics_of(self._infos[kind])
         except UserError as error:
             raise UserError(f"{self.path}, {kind}: {error}") from error
-
-    def _between(self, depth_frame: str) -> Float64[np.ndarray, "4 4"]:
-        """From the depth camera's optical frame to the colour camera's, through the frame that both are fixed to."""
-        if depth_frame == self.frame:
-            return np.eye(4)
-        common = [
-            name
-            for name in self.transforms.ancestors(self.frame)
-            if name in self.transforms.ancestors(depth_frame)
-        ]
-        if not common:
-            raise UserError(
-                f"{self.path}: depth is of {depth_frame!r}, colour of {self.frame!r}, and tf joins them nowhere; use "
-                "depth that is registered to colour (aligned_depth_to_color, depth_registered)"
-            )
-        to_colour, to_depth = (self.transforms.at(common[0], name, 0) for name in (self.frame, depth_frame))
-        if to_colour is None or to_depth is None:
-            raise UserError(
-                f"{self.path}: {depth_frame!r} and {self.frame!r} move against each other, expected fixed cameras"
-            )
-        between: np.ndarray = np.linalg.inv(to_colour) @ to_depth
-        return between
 
     def _moves(self) -> bool:
         chain = self.transforms.ancestors(self.frame)

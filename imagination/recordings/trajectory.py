@@ -190,3 +190,24 @@ class Transforms:
                 return None
             result = step @ result
         return result
+
+    def between(self, frame: str, other: str) -> Float64[np.ndarray, "4 4"]:
+        """Transform from one frame to another that it does not move against.
+
+        Raises:
+            UserError: if nothing joins them, or they move against each other.
+        """
+        ours, theirs = self.ancestors(frame), self.ancestors(other)
+        common = [name for name in theirs if name in ours]
+        if not common:
+            raise UserError(
+                f"tf: nothing joins {frame!r} and {other!r}; if they are depth and colour, use depth that is registered "
+                "to colour (aligned_depth_to_color, depth_registered)"
+            )
+        chain = [*ours[: ours.index(common[0])], *theirs[: theirs.index(common[0])]]
+        if self.moves(chain):
+            raise UserError(f"tf: {frame!r} and {other!r} move against each other, expected fixed cameras")
+        to_common, from_common = (self.at(common[0], name, 0) for name in (frame, other))
+        assert to_common is not None and from_common is not None, "fixed at all times"
+        result: np.ndarray = np.linalg.inv(from_common) @ to_common
+        return result
