@@ -201,7 +201,7 @@ class Transforms:
         common = [name for name in theirs if name in ours]
         if not common:
             raise UserError(
-                f"tf: nothing joins {frame!r} and {other!r}; if they are depth and colour, use depth that is registered "
+                f"tf: nothing joins {frame!r} and {other!r}; if they are depth and colour, use depth registered "
                 "to colour (aligned_depth_to_color, depth_registered)"
             )
         chain = [*ours[: ours.index(common[0])], *theirs[: theirs.index(common[0])]]
