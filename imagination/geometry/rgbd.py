@@ -212,8 +212,8 @@ class Alignment:
         if self._turn is None or not np.array_equal(turn, self._turn):
             self._prepare(turn)
         if self._shrink < 1:
-            size = self._colour.width, self._colour.height
-            rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+            smaller = self._colour.width, self._colour.height
+            rgb = cv2.resize(rgb, smaller, interpolation=cv2.INTER_AREA)
         colour = cv2.remap(rgb, *self._colour_lookup, cv2.INTER_LINEAR)
         if not self._beside:
             seen = cv2.remap(depth, *self._depth_lookup, cv2.INTER_NEAREST)

@@ -124,8 +124,9 @@ def load_layer(path: str | Path) -> LoadedLayer:
             f"{path}: got origin [{x}, {y}, {yaw}], expected finite metres and no rotation; turn the image instead"
         )
     shade, opaque = _read_shades(image_path, mode)
+    rows, columns = shade.shape
     return LoadedLayer(
-        Grid(resolution, *shade.shape, (x, y)), _interpret(shade, opaque, mode, negate, low, high)
+        Grid(resolution, rows, columns, (x, y)), _interpret(shade, opaque, mode, negate, low, high)
     )
 
 
@@ -142,8 +143,9 @@ def load_maps(folder: str | Path) -> Maps:
                 raise UserError(f"{path}: got version {int(file['version'])}, expected {VERSION}")
             probabilities = file["probabilities"]
             origin = float(file["origin"][0]), float(file["origin"][1])
+            rows, columns = probabilities.shape[1:]
             return Maps(
-                Grid(float(file["resolution"]), *probabilities.shape[1:], origin),
+                Grid(float(file["resolution"]), rows, columns, origin),
                 str(file["frame"]),
                 tuple(map(str, file["categories"])),
                 probabilities,
@@ -263,7 +265,9 @@ def _read_shades(path: Path, mode: str) -> tuple[Float64[np.ndarray, "h w"], Boo
         raise UserError(
             f"{path}: got {image.shape[1]} x {image.shape[0]} cells, expected at most {MAX_CELLS} a side"
         )
-    full = np.float64(np.iinfo(image.dtype).max)
+    if image.dtype not in (np.uint8, np.uint16):
+        raise UserError(f"{path}: got pixels of {image.dtype}, expected 8 or 16 bits")
+    full = 255.0 if image.dtype == np.uint8 else 65535.0
     channels = image.reshape(*image.shape[:2], -1)
     colour = channels[..., :3] if channels.shape[2] >= 3 else channels[..., :1]
     opaque = channels[..., 3] == full if channels.shape[2] == 4 else np.ones(image.shape[:2], np.bool_)

@@ -33,5 +33,6 @@ def paint(
     """Lay the categories' colours over a picture; see `draw_map`."""
     for layer, colour in zip(probabilities, colours, strict=True):
         weight = np.select([layer >= threshold, layer >= FAINT], [np.float32(0.85), 0.5 * layer / threshold])
-        picture = picture + weight[..., None] * (np.float32(colour) - picture)
-    return np.rint(picture).astype(np.uint8)
+        picture = picture + weight[..., None] * (np.array(colour, np.float32) - picture)
+    rounded: Picture = np.rint(picture).astype(np.uint8)
+    return rounded

@@ -73,7 +73,8 @@ class ScanNetRecording:
 
     def _intrinsic(self, name: str, shape: tuple[int, ...]) -> Intrinsics:
         k = read_matrix(self.folder / "intrinsic" / f"intrinsic_{name}.txt")
-        return Intrinsics(shape[1], shape[0], *(float(k[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))))
+        (fx, _, cx), (_, fy, cy) = k[:2, :3].tolist()
+        return Intrinsics(shape[1], shape[0], fx, fy, cx, cy)
 
     def _extrinsic(self, name: str) -> Float64[np.ndarray, "4 4"]:
         path = self.folder / "intrinsic" / f"extrinsic_{name}.txt"

@@ -44,7 +44,7 @@ def interpolate(
         return other if share else one
     turn = one[:3, :3].T @ other[:3, :3]
     angle = float(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
-    result = one + share * (other - one)
+    result: np.ndarray = one + share * (other - one)
     result[:3, :3] = one[:3, :3] @ _about(turn, angle, share)
     return result
 

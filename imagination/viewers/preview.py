@@ -1,6 +1,7 @@
 """A short film of the mapping: colour, depth, projection, imagination and the growing map side by side."""
 
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -69,11 +70,11 @@ class Preview:
         Raises:
             UserError: if it cannot be written.
         """
-        pictures = [cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) for data in self._pictures]
-        if not pictures:
+        if not self._pictures:
             return
+        pictures = [np.array(Image.open(BytesIO(data))) for data in self._pictures]
         if self.format == "gif":
-            first, *others = (Image.fromarray(picture[..., ::-1]) for picture in pictures)
+            first, *others = map(Image.fromarray, pictures)
             first.save(
                 self._file, save_all=True, append_images=others, duration=round(1000 / self.rate), loop=0
             )
@@ -83,7 +84,7 @@ class Preview:
         if not writer.isOpened():
             raise UserError(f"{self._file}: cannot be written as MP4 by this OpenCV; use viewer.format=gif")
         for picture in pictures:
-            writer.write(picture)
+            writer.write(picture[..., ::-1])
         writer.release()
 
 
@@ -115,14 +116,14 @@ def draw_update(
     return np.hstack([left, _with_path(draw_map(maps, colours, 0.5), maps, path)])
 
 
-def _panel(image: Picture, title: str) -> Picture:
+def _panel(image: Picture, title: str) -> UInt8[np.ndarray, "p q 3"]:
     picture = cv2.resize(np.ascontiguousarray(image), (PANEL, PANEL), interpolation=cv2.INTER_NEAREST)
     cv2.rectangle(picture, (0, 0), (PANEL, 16), (255, 255, 255), -1)
     cv2.putText(picture, title, (4, 12), cv2.FONT_HERSHEY_SIMPLEX, 0.4, TEXT_COLOUR, 1, cv2.LINE_AA)
     return picture
 
 
-def _with_path(picture: Picture, maps: Maps, path: Sequence[Pose]) -> Picture:
+def _with_path(picture: Picture, maps: Maps, path: Sequence[Pose]) -> UInt8[np.ndarray, "p q 3"]:
     """The known part of the map, as large as it fits, with the robot and its path."""
     known = np.argwhere(maps.known)
     top, left = known.min(axis=0)

@@ -116,7 +116,7 @@ def test_images_with_colours_opacity_and_16_bits(tmp_path: Path) -> None:
     grey = np.array([[0, 40, 128, 254, 255]], np.uint8)
     colours = np.stack([grey, grey, grey], axis=-1)
     assert load(Image.fromarray(colours), "trinary").tolist() == [[100, 100, -1, 0, 0]]
-    sixteen = Image.fromarray((grey.astype(np.uint16) * 257), mode="I;16")
+    sixteen = Image.fromarray(grey.astype(np.uint16) * 257)
     assert load(sixteen, "trinary").tolist() == [[100, 100, -1, 0, 0]]
     clear = np.concatenate([colours, np.array([[[255], [255], [255], [0], [255]]], np.uint8)], axis=-1)
     assert load(Image.fromarray(clear), "scale").tolist() == [[100, 100, 62, -1, 0]]

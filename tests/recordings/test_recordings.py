@@ -256,7 +256,7 @@ def test_frames_out_of_order_are_skipped(tmp_path: Path) -> None:
     edit(tmp_path / "plain" / "frames.csv", lambda rows: [*rows[:4], rows[3], rows[2], rows[5]])
     frames = Frames(FolderRecording(str(tmp_path / "plain")))
     assert [(frame.stamp - BEGIN) // TICK for frame in frames] == [0, 1, 2, 4]
-    assert frames.skipped == {"time stamp out of order": 2}
+    assert frames.skipped == {"time stamp out of order": 1, "repeated time stamp": 1}
 
 
 def test_association_is_the_closest_first() -> None:
@@ -311,21 +311,14 @@ def test_a_damaged_bag_gives_what_lies_before(tmp_path: Path, kind: str) -> None
     data = bytearray(file.read_bytes())
     middle = data.find(frames[25].rgb.tobytes()[:64])  # in the colour image of frame 25
     assert middle > 0
-    if kind == "sqlite3":
-        page = 4096 * (middle // 4096)
-        data[page : page + 3 * 4096] = bytes(3 * 4096)
-    else:
-        start = data.rfind(b"/camera/color/image_raw" if kind == "never" else OPTICAL_BYTES, 0, middle)
-        data[start - 8 : start + 4] = b"\xff" * 12  # the length of the frame's name, among others
+    start = data.rfind(b"camera_optical", 0, middle)
+    data[start - 8 : start + 4] = b"\xff" * 12  # the length of the frame's name, among others
     file.write_bytes(data)
     got, told = until_broken(bag(path))
     assert 10 <= len(got) <= 25
     for frame, original in zip(got, frames, strict=False):
         np.testing.assert_array_equal(frame.rgb, original.rgb)
     assert "damaged after" in told or "after its start" in told
-
-
-OPTICAL_BYTES = b"camera_optical"
 
 
 def test_a_message_that_is_no_image_ends_it_with_its_place(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A robot in a process of its own: speaks over Zenoh what it sees in a room, some of it broken, and listens to the maps.
+"""A robot in its own process: speaks over Zenoh what it sees in a room, some of it broken, and listens to the maps.
 
 Its arguments are the endpoint to connect to and the folder to write what it heard to.
 """
