@@ -250,6 +250,6 @@ def _push(
 ) -> None:
     """Write merged values, or new ones whole where nothing was written before, and count the write."""
     for n in range(touched.size):
-        cell = touched[n]
+        cell = np.uint64(touched[n])  # unsigned: numba need not look for indices from the end
         probabilities[cell] = merged[n] if counts[cell] > 0 else new[n]
         counts[cell] += 1

@@ -19,8 +19,8 @@ from tests.rooms import tiny_room
 
 
 def make_checkpoint(path: Path, *choices: str) -> Path:
-    """A checkpoint as training would write it, at scale=test, with weights and statistics that are random."""
-    every = ["scale=test", *choices]
+    """A checkpoint as training would write it, at scale=test unless chosen, with random weights and statistics."""
+    every = [*choices] if any(choice.startswith("scale=") for choice in choices) else ["scale=test", *choices]
     config = compose("train", [*every, "paths.run=."])
     OmegaConf.update(config, "choices", every)
     torch.manual_seed(0)
