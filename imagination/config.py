@@ -101,9 +101,10 @@ class _SearchPath(SearchPathPlugin):
             search_path.append(provider=f"plugin {plugin.name}", path=f"file://{plugin.conf}")
 
 
-def command(config_name: str) -> Callable[[Task], Callable[[], None]]:
+def command(config_name: str, check: Task | None = None) -> Callable[[Task], Callable[[], None]]:
     """Make a function of a config into a command that composes conf/<config_name>.yaml from the command line.
 
+    `check` looks at the config before anything is built; `validate` if None.
     Mistakes of the user are told in one message with exit code 2; anything else shows its traceback.
     """
 
@@ -115,7 +116,7 @@ def command(config_name: str) -> Callable[[Task], Callable[[], None]]:
 
                 return run_member(task, config)
             with mistakes_told():
-                validate(config)
+                (check or validate)(config)
                 return task(config)
             raise AssertionError("unreachable: mistakes end the program")
 

@@ -5,14 +5,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32
 
 from imagination.errors import check_choice, check_range
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import close, dilate, kernel_cells
 from imagination.geometry.projection import Band, project_categories
-from imagination.ground_truth.label import imaginable_mask, neighbourhood
+from imagination.ground_truth.label import imaginable_mask
+from imagination.mapping.module import Statement, valid_imagination
 from imagination.mapping.registration import Rule
 from imagination.views.collector import Views
 
@@ -44,20 +45,6 @@ class Setting(NamedTuple):
     layers: list[int]
     categories: list[str]
     table_size: int
-
-
-class Statement(NamedTuple):
-    """What views say.
-
-    Attributes:
-        values: of cells.
-        mask: cells that they have something to say about.
-        imagined: those of them that they did not see; None if they saw all.
-    """
-
-    values: Float32[np.ndarray, "n c v v"]
-    mask: Bool[np.ndarray, "n c v v"]
-    imagined: Bool[np.ndarray, "n c v v"] | None = None
 
 
 @runtime_checkable
@@ -129,9 +116,7 @@ class SeenPrediction:
 
 @dataclass(frozen=True)
 class ValidPrediction:
-    """imagination: V_valid = prediction ∘ M*_seen, M*_seen = dilation([prediction >= tau_valid] ∘ V_seen, epsilon).
-
-    A view has something to say about the cells it saw, where it denies what is not valid, and about M*_seen.
+    """imagination: V_valid = prediction ∘ M*_seen; see `valid_imagination`.
 
     Attributes:
         threshold: tau_valid.
@@ -149,10 +134,8 @@ class ValidPrediction:
         check_choice("evidence.needs", self.needs, ("maps", "maps_of_shuffled_rgb"))
 
     def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
-        probabilities, seen = predictions[self.needs], views["seen"][:, None]
-        epsilon = kernel_cells(self.kernel, setting.ego.resolution)
-        valid = neighbourhood(probabilities >= self.threshold, seen, epsilon)
-        return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen, valid & ~seen)
+        seen, resolution = views["seen"][:, None], setting.ego.resolution
+        return valid_imagination(predictions[self.needs], seen, self.threshold, self.kernel, resolution)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,9 @@ from imagination.mapping.registration import Rule
 BYTES_PER_CELL = 8
 """A probability (float32) and the number of views that wrote the cell (int32), negative while it was only imagined."""
 
+CHUNK = 128
+"""Cells by which a map grows at a time."""
+
 
 class Mapper:
     """A global map of probabilities, one layer for each category, that grows by registered views.
@@ -56,12 +59,7 @@ class Mapper:
             raise UserError(
                 f"resolution: got {ego.resolution} m for views, {grid.resolution} m for the map, expected one for both"
             )
-        needed, there = len(categories) * grid.rows * grid.columns * BYTES_PER_CELL, physical_memory()
-        if needed > there:
-            raise UserError(
-                f"map of {len(categories)} x {grid.rows} x {grid.columns} cells: got {needed / 1e9:.1f} GB, expected "
-                f"at most this machine's {there / 1e9:.1f} GB; choose a coarser resolution or a smaller extent"
-            )
+        _check_size(len(categories), grid)
         self.grid, self.ego, self.categories, self.rule = grid, ego, list(categories), rule
         side = int(np.ceil(np.sqrt(2) * ego.cells)) + 1  # of the window of a view turned by 45 degrees
         most = len(categories) * side * side
@@ -119,6 +117,48 @@ class Mapper:
         touched, new, old, count, guessed = (array[:n] for array in self._touched)
         _push(*layers, touched, new, self.rule(old, new, np.abs(count)), guessed)
 
+    def cover(self, pose: Pose) -> None:
+        """Let the map grow, by whole chunks, until it contains all that a view from `pose` may reach.
+
+        Raises:
+            UserError: if it would not fit in memory, or the pose is not finite. The map stays as it was.
+        """
+        low, high = _reach(ego_to_grid(self.ego, self.grid, pose), self.ego)
+        top, left = (max(0, -int(np.floor(side / CHUNK)) * CHUNK) for side in low)
+        beyond = high - np.array(self.grid.shape) + 1
+        bottom, right = (max(0, int(np.ceil(side / CHUNK)) * CHUNK) for side in beyond)
+        if not (top or bottom or left or right):
+            return
+        rows, columns = self.grid.rows + top + bottom, self.grid.columns + left + right
+        x, y = self.grid.origin
+        size = self.grid.resolution
+        grid = Grid(size, rows, columns, (x - left * size, y - bottom * size))
+        _check_size(len(self.categories), grid)
+        before, self.grid = (self._probabilities, self._count), grid
+        self.reset()
+        inside = np.s_[:, top : rows - bottom, left : columns - right]
+        self._probabilities[inside], self._count[inside] = before
+
+    def outside(self, mask: Bool[np.ndarray, "c v v"], pose: Pose) -> int:
+        """How many of a view's cells with something to say, counted once for all layers, lie outside the map."""
+        to_grid = ego_to_grid(self.ego, self.grid, pose)
+        low, high = _reach(to_grid, self.ego)
+        if (low >= 0).all() and (high < self.grid.shape).all():
+            return 0
+        cells = np.argwhere(mask.any(axis=0)) @ to_grid[:, :2].T + to_grid[:, 2]
+        return len(cells) - int(self.grid.inside(np.floor(cells + 0.5).astype(np.int64)).sum())
+
+    def write(self, layer: int, values: Float32[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> None:
+        """Start a layer from values that are known already, as if one view had written them.
+
+        Raises:
+            UserError: if the arrays have another shape than the grid.
+        """
+        if values.shape != self.grid.shape or known.shape != self.grid.shape:
+            raise UserError(f"layer: got shapes {values.shape} and {known.shape}, expected {self.grid.shape}")
+        self._probabilities[layer] = np.where(known, values, np.float32(0))
+        self._count[layer] = known
+
     def _check(self, values: np.ndarray, mask: np.ndarray, imagined: np.ndarray) -> None:
         shape = len(self.categories), self.ego.cells, self.ego.cells
         given = (("values", values, np.float32), ("mask", mask, np.bool_), ("imagined", imagined, np.bool_))
@@ -140,12 +180,29 @@ def physical_memory() -> int:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def _window(to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid, grid: Grid) -> tuple[int, int, int, int]:
-    """First and last row, first and last column of the global cells whose centres a view may cover."""
+def _check_size(layers: int, grid: Grid) -> None:
+    needed, there = layers * grid.rows * grid.columns * BYTES_PER_CELL, physical_memory()
+    if needed > there:
+        raise UserError(
+            f"map of {layers} x {grid.rows} x {grid.columns} cells: got {needed / 1e9:.1f} GB, expected "
+            f"at most this machine's {there / 1e9:.1f} GB; choose a coarser resolution or a smaller extent"
+        )
+
+
+def _reach(
+    to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid
+) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
+    """Lowest and highest global row and column of cells whose centres a view may cover."""
     low, high = -0.5, ego.cells - 0.5
     corners = to_grid @ np.array([[low, low, high, high], [low, high, low, high], [1.0, 1.0, 1.0, 1.0]])
-    first = np.clip(np.ceil(corners.min(axis=1)), 0, grid.shape)
-    last = np.clip(np.floor(corners.max(axis=1)), -1, np.array(grid.shape) - 1)
+    return np.ceil(corners.min(axis=1)), np.floor(corners.max(axis=1))
+
+
+def _window(to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid, grid: Grid) -> tuple[int, int, int, int]:
+    """First and last row, first and last column of the global cells whose centres a view may cover."""
+    low, high = _reach(to_grid, ego)
+    first = np.clip(low, 0, grid.shape)
+    last = np.clip(high, -1, np.array(grid.shape) - 1)
     return int(first[0]), int(last[0]), int(first[1]), int(last[1])
 
 
@@ -207,7 +264,7 @@ def _push(
 ) -> None:
     """Write merged values, or new ones whole where nothing was written, or only imagined and now seen; count."""
     for n in range(touched.size):
-        cell = touched[n]
+        cell = np.uint64(touched[n])  # unsigned: numba need not look for indices from the end
         count = counts[cell]
         first_sighting = not guessed[n] and count <= 0
         probabilities[cell] = new[n] if first_sighting or count == 0 else merged[n]
