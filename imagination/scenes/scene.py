@@ -141,6 +141,32 @@ class Scene:
         return table
 
 
+class Credit(NamedTuple):
+    """A model, or a data set, that somebody made.
+
+    Attributes:
+        split: whose scenes it may stand in.
+        label: what it is.
+        model: as `SceneObject.model` names it.
+        author, licence, origin: who made it, under which terms it may be used, where it comes from.
+    """
+
+    split: str
+    label: str
+    model: str
+    author: str
+    licence: str
+    origin: str
+
+
+@runtime_checkable
+class Credited(Protocol):
+    """A scene source whose scenes hold what others made: results name them."""
+
+    def credits(self) -> Sequence[Credit]:
+        """Everything that scenes are made of; may be empty."""
+
+
 @runtime_checkable
 class SceneSource(Protocol):
     """Loads scenes by name. Plain values only inside, so that worker processes receive a copy of it."""

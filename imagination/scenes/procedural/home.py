@@ -12,7 +12,7 @@ from imagination.scenes.procedural.furnishing import furnish
 from imagination.scenes.procedural.layouts import draw_plan
 from imagination.scenes.procedural.palette import Finish
 from imagination.scenes.procedural.pieces import Piece, Placed
-from imagination.scenes.procedural.stock import STYLED, Stock
+from imagination.scenes.procedural.stock import Furniture, Stock
 from imagination.scenes.scene import SPLITS, FreeSpace, Lighting, Mesh, OrientedBox, Scene, SceneObject, Split
 
 ATTEMPTS = 12
@@ -28,7 +28,13 @@ ROOM_SHARE = 0.08
 
 
 def build_home(
-    name: str, seed: int, split: Split, number: int, categories: CategoryTable, robot_radius: float
+    name: str,
+    seed: int,
+    split: Split,
+    number: int,
+    categories: CategoryTable,
+    robot_radius: float,
+    furniture_source: Furniture,
 ) -> Scene:
     """Build a home; it depends on nothing but the arguments.
 
@@ -38,7 +44,7 @@ def build_home(
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, SPLITS.index(split), number, attempt])
         plan = draw_plan(rng)
-        stock = Stock(split, rng)
+        stock = Stock(furniture_source, split, rng)
         furniture = furnish(plan, stock, robot_radius)
         labels = {thing.piece.label for thing in furniture}
         if not all(labels & any_of for any_of in REQUIRED):
@@ -104,8 +110,7 @@ def _object(instance: int, thing: Placed, categories: CategoryTable) -> SceneObj
     label = thing.piece.label
     yaw = float(np.arctan2(np.sin(thing.yaw), np.cos(thing.yaw)))
     box = OrientedBox(centre, (width, depth, height), yaw)
-    model = thing.piece.model if label in STYLED else label
-    return SceneObject(instance, label, categories.of_label("procedural", label), box, model)
+    return SceneObject(instance, label, categories.of_label("procedural", label), box, thing.piece.model)
 
 
 def _reaches_all(free: FreeSpace, plan: Plan, building: Placed) -> bool:
