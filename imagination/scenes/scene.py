@@ -118,6 +118,7 @@ class Scene:
         free_space: where the robot may stand; never empty.
         floor_height: world z of the floor, metres.
         ceiling_height: world z of the ceiling, metres.
+        renderer: what draws the scene instead of the ray caster, as `renderer.SceneRenderer`; the mesh may then be empty.
     """
 
     name: str
@@ -127,6 +128,7 @@ class Scene:
     free_space: FreeSpace
     floor_height: float = 0.0
     ceiling_height: float = 2.6
+    renderer: object = None
 
     def of_category(self, category: str) -> list[SceneObject]:
         """The objects of one category."""

@@ -1,7 +1,7 @@
 """What one home's furniture is taken from: pieces of its split in the finishes of its palette."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -33,6 +33,7 @@ LABELS: tuple[str, ...] = (*STYLED, *BUILDERS)
 """Every label that things in a home may have."""
 
 
+@runtime_checkable
 class Furniture(Protocol):
     """Where the pieces of homes come from. Plain values only inside, so that worker processes receive a copy of it.
 
