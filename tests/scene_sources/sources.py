@@ -1,5 +1,6 @@
 """One tiny source of each kind, for the contract test: what it is called and how it is made in an empty folder."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from omegaconf import DictConfig
 from imagination.config import compose
 from imagination.plugins import activate
 from imagination.scenes.scene import SceneSource
+from tests.conftest import ROOT
 from tests.scene_sources import buildings, sweet_home
 
 activate()  # plugins of this checkout can be imported
@@ -54,6 +56,18 @@ def _scans(name: str, write: Callable[[Path], Path]) -> Callable[[Path], SceneSo
     return make
 
 
+def _habitat(folder: Path) -> SceneSource:
+    return source(folder, "data/scenes=habitat", "data.scenes.scenes={train: [a], val: [b], test: [c]}")
+
+
+def _box_rooms(folder: Path) -> SceneSource:
+    """The example plugin's, which the docs show."""
+    sys.path.append(str(ROOT / "tests" / "plugins_example"))
+    from imagination_example.rooms import BoxRooms
+
+    return BoxRooms({"train": 1, "val": 1, "test": 1}, 0.2)
+
+
 SOURCES: dict[str, Callable[[Path], SceneSource]] = {
     "procedural": _procedural,
     "sweethome3d_furniture": _furniture,
@@ -62,6 +76,8 @@ SOURCES: dict[str, Callable[[Path], SceneSource]] = {
     "hm3d": _scans("hm3d", buildings.write_hm3d),
     "replica": _scans("replica", buildings.write_replica),
     "scannet": _scans("scannet", buildings.write_scannet),
+    "habitat": _habitat,
+    "box_rooms": _box_rooms,
 }
 NEEDS = {"scannet": "scenezoo"}
 """Libraries too large for the tests' environment; sources without them are skipped."""

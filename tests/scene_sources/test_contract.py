@@ -2,6 +2,7 @@
 
 import dataclasses
 import pickle
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +16,20 @@ from imagination.ground_truth.maps import GroundTruthSpec, build
 from imagination.scenes.renderer import Image, renderer_of
 from imagination.scenes.scene import Scene, SceneSource
 from imagination.views.poses import sample_poses
+from tests.scene_sources.fake_habitat import install
 from tests.scene_sources.sources import NEEDS, SOURCES, configured
 
 CAMERA = Camera.from_degrees(48, 48, 90.0, 1.25)
 
 
 @pytest.fixture(scope="module", params=SOURCES)
-def source(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> SceneSource:
+def source(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SceneSource]:
     if request.param in NEEDS:
         pytest.importorskip(NEEDS[request.param], reason=f"{request.param} is read by {NEEDS[request.param]}")
-    return SOURCES[request.param](tmp_path_factory.mktemp(request.param))
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == "habitat":
+            install(patch)
+        yield SOURCES[request.param](tmp_path_factory.mktemp(request.param))
 
 
 @pytest.fixture(scope="module")
