@@ -13,7 +13,7 @@ import torch
 from rich.console import Console
 
 from imagination.data.datamodule import SceneData
-from imagination.evaluation import figures, report, tables
+from imagination.evaluation import credits, figures, report, tables
 from imagination.evaluation.approaches import Setting
 from imagination.evaluation.outcome import Report
 from imagination.evaluation.prediction import Model, Predictor
@@ -63,6 +63,7 @@ def evaluate(protocol: MappingProtocol, data: SceneData, models: Sequence[Model]
         report.declared_sensor(subject.setting, protocol.approaches),
     )
     report.write(folder / "tables", found, protocol, resolution, origin)
+    credits.write(folder / "tables", data.observer.source)
     rows = tables.mapping_rows(found, protocol, resolution)
     figures.write(folder / "figures", found, rows)
     screen = Console()
