@@ -44,7 +44,9 @@ def examine() -> Iterator[Finding]:
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     yield Finding("memory", memory >= MEMORY, f"{memory:.0f} GB (the desk job takes about 5)")
     free = shutil.disk_usage(Path.cwd()).free / 1e9
-    yield Finding("disk", free >= DISK, f"{free:.0f} GB free in {Path.cwd()} (outputs go here; set paths.outputs)")
+    yield Finding(
+        "disk", free >= DISK, f"{free:.0f} GB free in {Path.cwd()} (outputs go here; set paths.outputs)"
+    )
 
 
 def _package(name: str) -> Finding:

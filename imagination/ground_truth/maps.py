@@ -77,7 +77,9 @@ class GroundTruth(NamedTuple):
         return cls(Grid(resolution, rows, columns, (x, y)), *(arrays[name] for name in cls._fields[1:]))
 
 
-def build(scene: Scene, renderer: SceneRenderer, spec: GroundTruthSpec, categories: CategoryTable) -> GroundTruth:
+def build(
+    scene: Scene, renderer: SceneRenderer, spec: GroundTruthSpec, categories: CategoryTable
+) -> GroundTruth:
     """Make the maps of a scene, for all categories of the table.
 
     Warns about every object of a category that has no cell in M_gt: nothing of it was seen at the obstacles' heights.

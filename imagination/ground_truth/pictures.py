@@ -182,7 +182,9 @@ def _name_objects(axes: Axes, scene: Scene) -> None:
     for thing in scene.objects:
         if max(thing.box.size[:2]) > SMALL:
             x, y, _ = thing.box.centre
-            axes.text(x, y, thing.label.replace("_", "\n"), fontsize=3.5, ha="center", va="center", clip_on=True)
+            axes.text(
+                x, y, thing.label.replace("_", "\n"), fontsize=3.5, ha="center", va="center", clip_on=True
+            )
 
 
 def _show_ego(axes: Axes, image: UInt8[np.ndarray, "v v 3"], ego: EgoGrid) -> None:

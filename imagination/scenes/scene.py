@@ -118,7 +118,7 @@ class Scene:
         free_space: where the robot may stand; never empty.
         floor_height: world z of the floor, metres.
         ceiling_height: world z of the ceiling, metres.
-        renderer: what draws the scene instead of the ray caster, as `renderer.SceneRenderer`; the mesh may then be empty.
+        renderer: what draws the scene instead of the ray caster (`renderer.SceneRenderer`); the mesh may then be empty.
     """
 
     name: str

@@ -41,7 +41,9 @@ def ply(
     """A binary PLY file with coloured vertices and further integers for each face."""
     from plyfile import PlyData, PlyElement
 
-    vertex = np.zeros(len(vertices), [(n, "f4") for n in "xyz"] + [(n, "u1") for n in ("red", "green", "blue")])
+    vertex = np.zeros(
+        len(vertices), [(n, "f4") for n in "xyz"] + [(n, "u1") for n in ("red", "green", "blue")]
+    )
     for place, name in enumerate("xyz"):
         vertex[name] = vertices[:, place]
     for place, name in enumerate(("red", "green", "blue")):

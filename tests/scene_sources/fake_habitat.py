@@ -1,6 +1,6 @@
 """A stand-in for habitat-sim 0.3 that behaves as was measured on the real one, around a tiny room.
 
-Its world has y up: (x, y, z) there is (x, -z, y) of the room. Images come from the ray caster, so they agree with the room.
+Its world has y up: (x, y, z) there is (x, -z, y) of the room. Images come from the ray caster and agree with the room.
 """
 
 import sys
@@ -129,7 +129,9 @@ def _object(thing: Any) -> Any:
     turn = np.array([0.0, np.sin(thing.box.yaw / 2), 0.0, np.cos(thing.box.yaw / 2)])
     obb = SimpleNamespace(center=np.array([x, z, -y]), half_extents=half, rotation=turn)
     category = SimpleNamespace(name=lambda: thing.label)
-    return SimpleNamespace(id=f"0_{thing.instance}", semantic_id=thing.instance + FIRST_ID, category=category, obb=obb)
+    return SimpleNamespace(
+        id=f"0_{thing.instance}", semantic_id=thing.instance + FIRST_ID, category=category, obb=obb
+    )
 
 
 def install(monkeypatch: pytest.MonkeyPatch) -> Fake:

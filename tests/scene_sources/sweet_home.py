@@ -88,7 +88,9 @@ def write_catalogue(path: Path, extra: Mapping[str, Iterable[Box]] | None = None
             properties |= entry(number, id, name, grown(boxes, share))
             members[f"models/{name.lower()}{number}/model.obj"] = obj(boxes)
             members[f"models/{name.lower()}{number}/model.mtl"] = MATERIALS
-    members["PluginFurnitureCatalog.properties"] = "\n".join(f"{key}={value}" for key, value in properties.items())
+    members["PluginFurnitureCatalog.properties"] = "\n".join(
+        f"{key}={value}" for key, value in properties.items()
+    )
     translated = "\n".join(f"name#{n}={w}" for n, w in ((1, "Trona"), (5, "Taula")))
     members["PluginFurnitureCatalog_ca.properties"] = translated
     return write_archive(path, members)
@@ -97,7 +99,15 @@ def write_catalogue(path: Path, extra: Mapping[str, Iterable[Box]] | None = None
 def piece(id: str, name: str, x: float, y: float, size: tuple[float, float, float], **more: str) -> str:
     """A piece of furniture of a home; centimetres on the plan, y down."""
     width, depth, height = size
-    attributes = {"catalogId": id, "name": name, "x": x, "y": y, "width": width, "depth": depth, "height": height}
+    attributes = {
+        "catalogId": id,
+        "name": name,
+        "x": x,
+        "y": y,
+        "width": width,
+        "depth": depth,
+        "height": height,
+    }
     text = " ".join(f'{key}="{value}"' for key, value in (attributes | more).items())
     return f"<pieceOfFurniture {text}/>"
 
@@ -111,7 +121,7 @@ def walls(x0: float, y0: float, x1: float, y1: float, level: str = "") -> str:
         for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)
     ]
     points = "".join(f'<point x="{x}" y="{y}"/>' for x, y in corners)
-    return "".join([*lines, f'<room {where}>{points}</room>'])
+    return "".join([*lines, f"<room {where}>{points}</room>"])
 
 
 def home_xml(inside: str) -> str:

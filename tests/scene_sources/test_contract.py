@@ -51,7 +51,8 @@ def points_of(pose: Pose, image: Image, scene: Scene) -> np.ndarray:
     cos, sin = np.cos(pose.theta), np.sin(pose.theta)
     forward, left, up = image.depth, -x, -y + 1.25
     return np.stack(
-        [pose.x + cos * forward - sin * left, pose.y + sin * forward + cos * left, up + scene.floor_height], axis=-1
+        [pose.x + cos * forward - sin * left, pose.y + sin * forward + cos * left, up + scene.floor_height],
+        axis=-1,
     )
 
 
@@ -83,7 +84,9 @@ def test_depth_agrees_with_the_mesh(scene: Scene, looks: list[tuple[Pose, Image]
         for row, column in rng.integers(0, 48, (12, 2)).tolist():
             if image.depth[row, column] > 0:
                 direction = points[row, column] - origin
-                assert nearest_hit(origin, direction, corners) == pytest.approx(1.0, abs=1e-3 / np.linalg.norm(direction))
+                assert nearest_hit(origin, direction, corners) == pytest.approx(
+                    1.0, abs=1e-3 / np.linalg.norm(direction)
+                )
 
 
 def nearest_hit(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray) -> float:
@@ -119,7 +122,7 @@ def test_boxes_hold_what_is_seen_of_their_objects(scene: Scene, looks: list[tupl
 
 
 def test_free_space_is_free(scene: Scene) -> None:
-    """Nothing of the mesh between 0.15 and 1.2 m above the floor comes nearer to a free cell than the robot's radius."""
+    """Nothing of the mesh between 0.15 and 1.2 m above the floor comes nearer to a free cell than the radius."""
     if len(scene.mesh.faces) == 0:
         pytest.skip("the scene brings its own renderer and no mesh")
     corners = scene.mesh.vertices[scene.mesh.faces].astype(np.float64)
@@ -143,7 +146,9 @@ def test_ground_truth_is_not_empty(scene: Scene, tmp_path: Path) -> None:
     assert truth.truth.any() and truth.occupied.any()
 
 
-def test_the_same_name_gives_the_same_views(source: SceneSource, scene: Scene, looks: list[tuple[Pose, Image]]) -> None:
+def test_the_same_name_gives_the_same_views(
+    source: SceneSource, scene: Scene, looks: list[tuple[Pose, Image]]
+) -> None:
     again = source.load(scene.name)
     np.testing.assert_array_equal(again.mesh.vertices, scene.mesh.vertices)
     np.testing.assert_array_equal(again.free_space.mask, scene.free_space.mask)

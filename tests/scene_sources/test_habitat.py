@@ -1,4 +1,4 @@
-"""Habitat: frames as pure functions, and the source against a stand-in for the simulator (the real one: marked below)."""
+"""Habitat: frames as pure functions, the source against a stand-in for the simulator; the real one where it is."""
 
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given
+from hypothesis import strategies as st
 
 from imagination.errors import UserError
 from imagination.geometry.camera import Camera
@@ -56,7 +57,9 @@ def test_quaternions_are_those_of_scipy(numbers: list[float]) -> None:
     x, y, z, w = rotation.as_quat()
     ours = np.array(frames.quaternion(rotation.as_matrix()))
     np.testing.assert_allclose(ours * np.sign(ours @ [w, x, y, z]), [w, x, y, z], atol=1e-9)
-    np.testing.assert_allclose(frames.rotation_of(rotation.as_quat().tolist()), rotation.as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(
+        frames.rotation_of(rotation.as_quat().tolist()), rotation.as_matrix(), atol=1e-9
+    )
 
 
 @given(st.floats(-3.1, 3.1))
@@ -98,7 +101,11 @@ def test_one_simulator_serves_all_scenes(habitat: SceneSource, fake: Fake) -> No
 
 @pytest.mark.parametrize(
     ("broken", "told"),
-    [("blind", "saw none of the 4 objects"), ("unnamed", "names no object"), ("no_floor", "has no floor for a robot")],
+    [
+        ("blind", "saw none of the 4 objects"),
+        ("unnamed", "names no object"),
+        ("no_floor", "has no floor for a robot"),
+    ],
 )
 def test_what_is_empty_is_an_error(habitat: SceneSource, fake: Fake, broken: str, told: str) -> None:
     setattr(fake, broken, True)

@@ -97,7 +97,7 @@ class ProceduralHomes:
         )
 
     def fingerprint(self, scene: str) -> str:
-        """Changes with the seed, the home, the robot, the categories' labels, the furniture and the code that builds homes."""
+        """Changes with the seed, the home, the robot, the categories' labels, the furniture and the builders' code."""
         self._parse(scene)
         members = [(category.name, sorted(category.members.get(SOURCE, ()))) for category in self._categories]
         furniture = self._furniture.fingerprint()

@@ -37,8 +37,8 @@ LABELS: tuple[str, ...] = (*STYLED, *BUILDERS)
 class Furniture(Protocol):
     """Where the pieces of homes come from. Plain values only inside, so that worker processes receive a copy of it.
 
-    A piece stands in a frame of its own: x to the right, y to the front, z up, its lowest point at 0. Tables have `seats`
-    and `surfaces`, a desk exactly one seat; nightstands and side tables at least one surface.
+    A piece stands in a frame of its own: x to the right, y to the front, z up, its lowest point at 0. Tables have
+    `seats` and `surfaces`, a desk exactly one seat; nightstands and side tables at least one surface.
     """
 
     def piece(self, label: str, split: Split, palette: Palette, rng: np.random.Generator) -> Piece:

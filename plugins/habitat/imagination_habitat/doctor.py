@@ -21,7 +21,11 @@ print("usable", habitat_sim.__version__)
 def examine() -> Iterator[Finding]:
     """One finding: usable, or what is wrong."""
     if find_spec("habitat_sim") is None:
-        yield Finding("habitat-sim", None, "not installed; only data/scenes=habitat needs it (conda install habitat-sim)")
+        yield Finding(
+            "habitat-sim",
+            None,
+            "not installed; only data/scenes=habitat needs it (conda install habitat-sim)",
+        )
         return
     done = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True, timeout=120)
     words = done.stdout.split()

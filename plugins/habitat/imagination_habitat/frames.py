@@ -1,7 +1,7 @@
 """Between Habitat's frames and ours, without the simulator.
 
-Habitat's world has y up, ours z: (x, y, z) there is (x, -z, y) here. Its camera looks along -z with y up, ours along z with
-y down.
+Habitat's world has y up, ours z: (x, y, z) there is (x, -z, y) here. Its camera looks along -z with y up, ours along
+z with y down.
 """
 
 from collections.abc import Sequence

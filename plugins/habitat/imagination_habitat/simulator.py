@@ -91,8 +91,8 @@ class HabitatRenderer:
         shape = camera.height, camera.width
         if depth.shape != shape or seen["color"].shape != (*shape, 4):
             raise UserError(
-                f"habitat: got images of {seen['color'].shape} and {depth.shape}, expected {shape}; is this habitat-sim "
-                "0.3?"
+                f"habitat: got images of {seen['color'].shape} and {depth.shape}, expected {shape}; is this "
+                "habitat-sim 0.3?"
             )
         semantic = np.asarray(seen["semantic"], np.int64)
         instance = self._lookup[np.where(semantic < len(self._lookup), semantic, 0)]
@@ -143,6 +143,6 @@ def _navmesh(module: Any, simulator: Any, robot_radius: float, scene: str) -> No
     # an unloaded pathfinder ends the whole process when it is asked anything
     if not made or not simulator.pathfinder.is_loaded:
         raise UserError(
-            f"habitat: scene {scene} has no floor for a robot of radius {robot_radius} m; check that it loads with y up "
-            "(a stage config says which way is up)"
+            f"habitat: scene {scene} has no floor for a robot of radius {robot_radius} m; check that it loads with y "
+            "up (a stage config says which way is up)"
         )

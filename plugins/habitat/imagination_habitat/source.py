@@ -93,8 +93,8 @@ class HabitatScenes:
         objects, rows = self._objects(simulator, floor)
         if not objects:
             raise UserError(
-                f"habitat: scene {scene} names no object on the floor at {floor:.2f} m; its semantics are empty: give the "
-                "scene data set config that lists its semantic files"
+                f"habitat: scene {scene} names no object on the floor at {floor:.2f} m; its semantics are empty: "
+                "give the scene data set config that lists its semantic files"
             )
         renderer = HabitatRenderer(self._dataset, scene, self._device, self._robot_radius, rows)
         found = Scene(scene, _nothing(), Lighting(), objects, free, floor, floor + CEILING, renderer)
@@ -103,7 +103,9 @@ class HabitatScenes:
 
     def fingerprint(self, scene: str) -> str:
         """Changes with the scene's name and files, the settings and this code; not with files that they refer to."""
-        files = [(path, Path(path).stat().st_mtime_ns) for path in (self._dataset, scene) if Path(path).is_file()]
+        files = [
+            (path, Path(path).stat().st_mtime_ns) for path in (self._dataset, scene) if Path(path).is_file()
+        ]
         settings = self._robot_radius, self._resolution, sorted(self._category_of.items()), str(self._camera)
         text = json.dumps([self.name, self._dataset, scene, files, repr(settings), code_version()])
         return hashlib.sha256(text.encode()).hexdigest()
@@ -143,8 +145,8 @@ class HabitatScenes:
             if (image.instance > 0).any():
                 return
         raise UserError(
-            f"habitat: the semantic sensor saw none of the {len(scene.objects)} objects of scene {scene.name} in {LOOKS} "
-            "looks; its semantic mesh is missing or did not load"
+            f"habitat: the semantic sensor saw none of the {len(scene.objects)} objects of scene {scene.name} in "
+            f"{LOOKS} looks; its semantic mesh is missing or did not load"
         )
 
 

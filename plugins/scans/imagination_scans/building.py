@@ -116,12 +116,16 @@ def floors_of(building: Building) -> list[Floor]:
     return [_floor(corners, z, height, up, down, sorted(heights)) for height in sorted(heights)]
 
 
-def _areas(z: Float32[np.ndarray, " m"], area: np.ndarray, chosen: Bool[np.ndarray, " m"]) -> dict[int, float]:
+def _areas(
+    z: Float32[np.ndarray, " m"], area: np.ndarray, chosen: Bool[np.ndarray, " m"]
+) -> dict[int, float]:
     """Area of the chosen faces around each height: of its bin and half of its neighbours'."""
     bins = np.round(z[chosen] / BIN).astype(int)
     found, inverse = np.unique(bins, return_inverse=True)
     sizes = dict(zip(found.tolist(), np.bincount(inverse, weights=area[chosen]).tolist(), strict=True))
-    return {bin_: size + (sizes.get(bin_ - 1, 0) + sizes.get(bin_ + 1, 0)) / 2 for bin_, size in sizes.items()}
+    return {
+        bin_: size + (sizes.get(bin_ - 1, 0) + sizes.get(bin_ + 1, 0)) / 2 for bin_, size in sizes.items()
+    }
 
 
 def _floor(
@@ -192,9 +196,7 @@ def mesh_of(building: Building) -> Mesh:
     )
 
 
-def upright_box(
-    points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "8 3"] | None
-) -> OrientedBox:
+def upright_box(points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "8 3"] | None) -> OrientedBox:
     """The smallest upright box around an object's points, and its annotated box's corners if it has one."""
     every = np.asarray(points, np.float64) if corners is None else np.concatenate([points, corners])
     # the annotation knows how the object stands, points of a half-seen one do not
@@ -206,7 +208,9 @@ def upright_box(
     x, y = ((low + high) / 2) @ along.T
     bottom, top = every[:, 2].min(), every[:, 2].max()
     width, depth = np.maximum(high - low, 1e-3).tolist()
-    return OrientedBox((float(x), float(y), float((bottom + top) / 2)), (width, depth, float(max(top - bottom, 1e-3))), yaw)
+    return OrientedBox(
+        (float(x), float(y), float((bottom + top) / 2)), (width, depth, float(max(top - bottom, 1e-3))), yaw
+    )
 
 
 def triangles(polygons: Int[np.ndarray, "m k"]) -> Int32[np.ndarray, "n 3"]:

@@ -15,7 +15,7 @@ HEADER = "HM3D Semantic Annotations"
 
 
 class HM3D:
-    """Folders train, val and minival with `<number>-<id>/<id>.semantic.glb`, `.semantic.txt` and, for colour, `<id>.glb`."""
+    """Folders train and val of `<number>-<id>` with `<id>.semantic.glb`, `.semantic.txt` and, for colour, `.glb`."""
 
     name = "hm3d"
 
@@ -89,7 +89,9 @@ def read_annotation(path: Path) -> dict[int, ScannedObject]:
                 'digits, a name in quotes and a region, as in 1,C7D5C5,"chair",0'
             ) from error
         if colour in objects:
-            raise UserError(f"{path}, line {number}: the colour {row[1]} occurs twice, expected one for each object")
+            raise UserError(
+                f"{path}, line {number}: the colour {row[1]} occurs twice, expected one for each object"
+            )
         objects[colour] = ScannedObject(id, name)
     return objects
 
@@ -132,7 +134,9 @@ def _face_colour(part: Any) -> np.ndarray:
         return np.asarray(image[row, column])
     if visual.kind == "vertex":
         return np.asarray(visual.vertex_colors[part.faces[:, 0], :3], np.uint8)
-    return np.asarray(visual.face_colors[:, :3] if visual.kind == "face" else np.zeros((len(part.faces), 3)), np.uint8)
+    return np.asarray(
+        visual.face_colors[:, :3] if visual.kind == "face" else np.zeros((len(part.faces), 3)), np.uint8
+    )
 
 
 def _image(visual: Any) -> np.ndarray | None:

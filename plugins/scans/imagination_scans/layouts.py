@@ -101,7 +101,9 @@ def ply_columns(ply: Any, path: Path, element: str, *choices: Sequence[str]) -> 
     for names in choices:
         name = next((name for name in names if name in data.dtype.names), None)
         if name is None:
-            raise UserError(f"{path}: its {element} has no {' or '.join(names)} (it has {', '.join(data.dtype.names)})")
+            raise UserError(
+                f"{path}: its {element} has no {' or '.join(names)} (it has {', '.join(data.dtype.names)})"
+            )
         columns.append(data[name])
     return columns
 
@@ -118,7 +120,9 @@ def ply_mesh(ply: Any, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     if corners.dtype == object:
         sizes = np.array([len(polygon) for polygon in corners])
         if len(sizes) and sizes.min() < 3:
-            raise UserError(f"{path}: face {int(sizes.argmin())} has {sizes.min()} corners, expected 3 or more")
+            raise UserError(
+                f"{path}: face {int(sizes.argmin())} has {sizes.min()} corners, expected 3 or more"
+            )
         fans = [[(p[0], p[k], p[k + 1]) for k in range(1, len(p) - 1)] for p in corners]
         faces = np.array([fan for polygon in fans for fan in polygon], np.int32).reshape(-1, 3)
         owner = np.repeat(np.arange(len(corners)), np.maximum(sizes - 2, 0) if len(sizes) else 0)

@@ -28,7 +28,7 @@ class House:
 
 
 class Matterport3D:
-    """`<id>/house_segmentations/<id>.house` with `<id>.ply`, or Habitat's `<id>/<id>.house` with `<id>_semantic.ply`."""
+    """`<id>/house_segmentations/<id>.house` and `<id>.ply`, or Habitat's `<id>/<id>.house` and `<id>_semantic.ply`."""
 
     name = "matterport3d"
 
@@ -36,14 +36,16 @@ class Matterport3D:
         found = {path.stem: path for path in sorted(folder.rglob("*.house"))}
         if not found:
             raise UserError(
-                f"matterport3d: found no .house file in {folder.resolve()}; expected <id>/house_segmentations/<id>.house "
-                "and <id>.ply as in the release (v1/scans), or <id>/<id>.house and <id>_semantic.ply as for Habitat"
+                f"matterport3d: found no .house file in {folder.resolve()}; expected <id>/house_segmentations/<id>.house"
+                " and <id>.ply as in the release (v1/scans), or <id>/<id>.house and <id>_semantic.ply as for Habitat"
             )
         return found
 
     def splits(self, folder: Path, names: Sequence[str]) -> Mapping[str, Split]:
         """The lists scenes_train.txt, scenes_val.txt and scenes_test.txt of the folder, else the official ones."""
-        return split_lists(folder, "scenes_{split}.txt") or split_lists(SPLIT_LISTS, "matterport3d_{split}.txt")
+        return split_lists(folder, "scenes_{split}.txt") or split_lists(
+            SPLIT_LISTS, "matterport3d_{split}.txt"
+        )
 
     def files(self, building: Path) -> list[Path]:
         return [building, self._mesh(building)]
@@ -98,7 +100,8 @@ def read_house(path: Path) -> House:
             continue
         if len(words) < LENGTHS[words[0]]:
             raise UserError(
-                f"{path}, line {number}: got {len(words)} words, expected {LENGTHS[words[0]]} or more in a record {words[0]}"
+                f"{path}, line {number}: got {len(words)} words, expected {LENGTHS[words[0]]} "
+                f"or more in a record {words[0]}"
             )
         try:
             if words[0] == "H":
@@ -107,7 +110,9 @@ def read_house(path: Path) -> House:
                 counted[words[0]] += 1
                 _take(house, words)
         except ValueError as error:
-            raise UserError(f"{path}, line {number}: got {line[:60]!r}, expected numbers ({error})") from error
+            raise UserError(
+                f"{path}, line {number}: got {line[:60]!r}, expected numbers ({error})"
+            ) from error
     if not expected:
         raise UserError(f"{path}: has no header, expected a line that begins with H")
     for record, count in expected.items():

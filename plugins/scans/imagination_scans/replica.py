@@ -82,7 +82,9 @@ def read_objects(path: Path) -> tuple[ScannedObject, ...]:
 
 def _corners(box: Mapping[str, Mapping[str, Sequence[float]]]) -> np.ndarray:
     """Corners (8, 3) of a box that lies in a frame of its own, turned by a quaternion x, y, z, w and moved."""
-    x, y, z, w = np.array(box["orientation"]["rotation"], float) / np.linalg.norm(box["orientation"]["rotation"])
+    x, y, z, w = np.array(box["orientation"]["rotation"], float) / np.linalg.norm(
+        box["orientation"]["rotation"]
+    )
     turn = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

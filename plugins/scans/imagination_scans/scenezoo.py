@@ -54,12 +54,18 @@ class SceneZoo:
         try:
             mesh = data.get_mesh(building.name)
             labels = data.get_segmentation(building.name)
-        except Exception as error:  # its errors have no common base: KeyError, OSError, DataFormatError and others
-            raise UserError(f"{building}: scenezoo cannot read it: {type(error).__name__}: {error}") from error
+        except (
+            Exception
+        ) as error:  # its errors have no common base: KeyError, OSError, DataFormatError and others
+            raise UserError(
+                f"{building}: scenezoo cannot read it: {type(error).__name__}: {error}"
+            ) from error
         vertices = np.asarray(mesh.vertices, np.float32)
         faces = np.asarray(mesh.triangles, np.int32)
         if labels.is_multilabel or labels.domain == "point":
-            raise UserError(f"{building}: its labels are of {labels.domain}s, expected one for each vertex or face")
+            raise UserError(
+                f"{building}: its labels are of {labels.domain}s, expected one for each vertex or face"
+            )
         of_face = labels.labels if labels.domain == "face" else labels.labels[faces].max(axis=1)
         if len(of_face) != len(faces):
             raise UserError(f"{building}: got {len(of_face)} labels for {len(faces)} faces")
@@ -68,7 +74,9 @@ class SceneZoo:
             rgb = np.round(np.asarray(mesh.vertex_colors) * 255).astype(np.uint8)
         materials, face_material, face_uv = coloured(face_colours(rgb, faces))
         # ids may count from 0, which is no object in a building
-        objects = tuple(ScannedObject(id + 1, name) for id, name in sorted(labels.id_to_name.items()) if id >= 0)
+        objects = tuple(
+            ScannedObject(id + 1, name) for id, name in sorted(labels.id_to_name.items()) if id >= 0
+        )
         known = np.isin(of_face, [thing.id - 1 for thing in objects])
         face_object = np.where(known, of_face + 1, 0).astype(np.int32)
         result = Building(vertices, faces, face_object, face_material, face_uv, materials, objects)

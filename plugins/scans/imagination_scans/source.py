@@ -62,7 +62,9 @@ class ScannedBuildings:
             categories.index(category)
             self._category_of |= dict.fromkeys(labels, category)
         if not self._folder.is_dir():
-            raise UserError(f"{self.name}: there is no folder {self._folder.resolve()}; set data.scenes.folder")
+            raise UserError(
+                f"{self.name}: there is no folder {self._folder.resolve()}; set data.scenes.folder"
+            )
         self._buildings = layout.buildings(self._folder)
         self._split_of = layout.splits(self._folder, list(self._buildings))
 
@@ -90,7 +92,9 @@ class ScannedBuildings:
         floor = self._floors(name)[number]
         part, things = cut(whole, floor)
         if not things:
-            raise UserError(f"scene {scene}: no object of the annotation lies on this floor; its semantics are empty")
+            raise UserError(
+                f"scene {scene}: no object of the annotation lies on this floor; its semantics are empty"
+            )
         mesh = mesh_of(part)
         objects = tuple(self._object(number, thing, part) for number, thing in enumerate(things, start=1))
         low, high = self._clearance
@@ -124,7 +128,9 @@ class ScannedBuildings:
     def _object(self, instance: int, thing: ScannedObject, part: Building) -> SceneObject:
         corners = part.vertices[np.unique(part.faces[part.face_object == thing.id])]
         box = upright_box(corners, thing.corners)
-        return SceneObject(instance, thing.name, self._category_of.get(thing.name), box, f"{self.name}/{thing.id}")
+        return SceneObject(
+            instance, thing.name, self._category_of.get(thing.name), box, f"{self.name}/{thing.id}"
+        )
 
     def _usable(self, name: str) -> list[int]:
         """Numbers of the floors that fit into the map; the others are told."""

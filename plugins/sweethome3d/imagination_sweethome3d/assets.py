@@ -77,7 +77,9 @@ class FurniturePackage:
             catalogue = read_catalogue(path)
             lines += [f"{'?':12} left out {id} ({path.name}): {reason}" for id, reason in catalogue.problems]
             other = sum(entry_label(entry) is None for entry in catalogue.entries)
-            lines.append(f"{path.name}: {len(catalogue.entries)} entries, {other} of them of no label that homes know")
+            lines.append(
+                f"{path.name}: {len(catalogue.entries)} entries, {other} of them of no label that homes know"
+            )
         used = sum(not candidate.reason for candidate in found)
         lines.append(f"{used} models in use, {len(found) - used} left out")
         return lines

@@ -104,8 +104,8 @@ def read_home(path: Path) -> tuple[Level, ...]:
         if HOME not in archive:
             if "Home" in archive:
                 raise UserError(
-                    f"{path}: has no {HOME}: a version of Sweet Home 3D before 5.3 wrote it; open it in a newer one and "
-                    "save it again"
+                    f"{path}: has no {HOME}: a version of Sweet Home 3D before 5.3 wrote it; open it in a newer one "
+                    "and save it again"
                 )
             raise UserError(f"{path}: has no {HOME}, expected a home of Sweet Home 3D (.sh3d)")
         root = parse_xml(archive.read(HOME), f"{path}: {HOME}")
@@ -197,7 +197,10 @@ def _furniture(node: Element) -> Iterator[Element]:
 
 def _walls(node: Element, wall_height: float) -> list[Wall]:
     """A wall; an arc as eight straight pieces."""
-    ends = [np.array([_length(node, f"x{end}", None), -_length(node, f"y{end}", None)]) for end in ("Start", "End")]
+    ends = [
+        np.array([_length(node, f"x{end}", None), -_length(node, f"y{end}", None)])
+        for end in ("Start", "End")
+    ]
     height = max(_length(node, "height", wall_height / CENTIMETRE), _length(node, "heightAtEnd", 0.0))
     thickness = _length(node, "thickness", 7.5)
     colour = _colour(node.get("leftSideColor") or node.get("rightSideColor")) or (0.93, 0.92, 0.9)
@@ -228,7 +231,9 @@ def _along_arc(start: np.ndarray, end: np.ndarray, extent: float) -> list[np.nda
 
 
 def _room(node: Element) -> Room:
-    outline = tuple((_length(point, "x", None), -_length(point, "y", None)) for point in node.findall("point"))
+    outline = tuple(
+        (_length(point, "x", None), -_length(point, "y", None)) for point in node.findall("point")
+    )
     return Room(
         outline,
         _colour(node.get("floorColor")) or PLAIN,

@@ -127,7 +127,9 @@ class SweetHomes:
     def fingerprint(self, scene: str) -> str:
         """Changes with the file, the robot, the catalogues, the categories' labels and this code."""
         path, _ = self._level(scene)
-        members = [(row.name, {source: sorted(of) for source, of in row.members.items()}) for row in self._categories]
+        members = [
+            (row.name, {source: sorted(of) for source, of in row.members.items()}) for row in self._categories
+        ]
         content = hashlib.sha256(path.read_bytes()).hexdigest()
         archives = [str(path) for path in _catalogues(self._catalogues)]
         text = repr((NAME, scene, content, self._robot_radius, members, archives, code_version()))
@@ -235,5 +237,7 @@ def listing(homes: SweetHomes, scenes: Sequence[str]) -> list[str]:
     for scene in scenes:
         lines.append(scene)
         for piece, label, told_by, drawn in homes.became(scene):
-            lines.append(f"    {piece.name or piece.catalogue_id}: {label or 'nothing'} (by {told_by}), drawn as {drawn}")
+            lines.append(
+                f"    {piece.name or piece.catalogue_id}: {label or 'nothing'} (by {told_by}), drawn as {drawn}"
+            )
     return lines

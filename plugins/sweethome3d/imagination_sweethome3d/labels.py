@@ -55,8 +55,8 @@ WORDS: Mapping[str, Sequence[str]] = {
         "kirjoituspöytä", "письменный стол", "íróasztal", "书桌", "デスク", "책상", "γραφείο", "бюро",
     ),
     "table": (
-        "tisch", "tavolo", "mesa", "bord", "tafel", "stół", "stůl", "pöytä", "стол", "asztal", "桌", "テーブル", "테이블",
-        "τραπέζι", "маса", "стіл", "masa", "bàn", "שולחן", "طاولة",
+        "tisch", "tavolo", "mesa", "bord", "tafel", "stół", "stůl", "pöytä", "стол", "asztal", "桌", "テーブル",
+        "테이블", "τραπέζι", "маса", "стіл", "masa", "bàn", "שולחן", "طاولة",
     ),
     "sofa": ("canapé", "divano", "sofá", "soffa", "диван", "kanapa", "pohovka", "kanapé", "沙发", "ソファ", "소파"),
     "stool": ("tabouret", "hocker", "sgabello", "taburete", "pall", "kruk", "barkruk", "taboret", "табурет"),

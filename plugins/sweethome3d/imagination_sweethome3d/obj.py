@@ -145,9 +145,9 @@ class _Reader:
         corners = np.array(self.corners, np.int64).reshape(-1, 3, 2)
         places = np.array([*self.coordinates, (0.0, 0.0)])  # the last one is for corners without
         uv, face_look = places[corners[..., 1]], np.array(self.face_look, np.int64)
-        bare = (corners[..., 1] < 0).any(axis=1) & np.array([look.texture is not None for look in self.looks])[
-            face_look
-        ]
+        bare = (corners[..., 1] < 0).any(axis=1) & np.array(
+            [look.texture is not None for look in self.looks]
+        )[face_look]
         if bare.any():
             self.notes.append(f"{bare.sum()} faces have a picture but no texture coordinates")
         if self.lines:

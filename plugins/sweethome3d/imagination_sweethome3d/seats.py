@@ -102,7 +102,9 @@ class _Table:
     def best_in_front(self) -> Seat:
         """The deepest place at the front, the one next to the middle among equals."""
         length = self.top.shape[1] * CELL
-        tried = [self._seat(0, place, 2 * KNEES + 0.2) for place in np.arange(KNEES, length - KNEES + 0.01, 0.05)]
+        tried = [
+            self._seat(0, place, 2 * KNEES + 0.2) for place in np.arange(KNEES, length - KNEES + 0.01, 0.05)
+        ]
         x, y = self.places[0].mean(axis=0).tolist()
         beside = Seat(x, y, YAWS[0], 2 * KNEES + 0.2, 0.0, self.underside)  # a chair may stand before it
         found = [seat for seat in tried if seat is not None] or [beside]
