@@ -256,8 +256,15 @@ def test_labels_of_ids_and_english_names(text: str, size: labels.Size, label: st
 
 @pytest.mark.parametrize(
     ("name", "label"),
-    [("Stuhl rot", "chair"), ("Fauteuil", "armchair"), ("Lit", "single_bed"), ("椅子", "chair"), ("Trona", "chair"), ("Xyz", None)],
-)  # fmt: skip
+    [
+        ("Stuhl rot", "chair"),
+        ("Fauteuil", "armchair"),
+        ("Lit", "single_bed"),
+        ("椅子", "chair"),
+        ("Trona", "chair"),
+        ("Xyz", None),
+    ],
+)
 def test_labels_of_names_in_any_language(name: str, label: str | None) -> None:
     assert labels.label_of_name(name, {"trona": "chair"}, SIZE) == label
 

@@ -36,8 +36,9 @@ class Matterport3D:
         found = {path.stem: path for path in sorted(folder.rglob("*.house"))}
         if not found:
             raise UserError(
-                f"matterport3d: found no .house file in {folder.resolve()}; expected <id>/house_segmentations/<id>"
-                ".house and <id>.ply as in the release (v1/scans), or <id>/<id>.house and <id>_semantic.ply as for Habitat"
+                f"matterport3d: found no .house file in {folder.resolve()}; expected <id>/house_segmentations/"
+                "<id>.house and <id>.ply as in the release (v1/scans), or <id>/<id>.house and <id>_semantic.ply as for "
+                "Habitat"
             )
         return found
 
