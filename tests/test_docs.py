@@ -14,8 +14,20 @@ def test_the_config_reference_is_up_to_date() -> None:
     assert (ROOT / "docs" / "configuration.md").read_text() == made, "run: python docs/configuration.py"
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/conventions.md", "docs/ground-truth.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/conventions.md", "docs/ground-truth.md", "docs/scene-sources.md"]
+)
 def test_links_lead_somewhere(page: str) -> None:
     path = ROOT / page
     for target in re.findall(r"\]\(([^)#]+)\)", path.read_text()):
         assert (path.parent / target).exists(), f"{page} links to {target}"
+
+
+def test_the_smallest_scene_source_is_small() -> None:
+    example = ROOT / "tests" / "plugins_example"
+    files = [
+        example / "imagination_example" / "rooms.py",
+        example / "conf" / "data" / "scenes" / "box_rooms.yaml",
+    ]
+    lines = sum(len(path.read_text().splitlines()) for path in files)
+    assert lines < 60 and f"{lines} lines" in (ROOT / "docs" / "scene-sources.md").read_text()

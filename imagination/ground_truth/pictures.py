@@ -63,10 +63,7 @@ def draw_scene(scene: Scene, truth: GroundTruth, categories: CategoryTable, look
     free.set_title(f"free space and {len(truth.points)} points that look around", fontsize=9)
     _show_map(occupied, _paint(truth.occupied, OCCUPIED), truth.grid, scene)
     occupied.set_title("M_occu", fontsize=9)
-    image = _paint(truth.occupied, OCCUPIED)
-    for row, layer in zip(categories, truth.truth, strict=True):
-        image[layer] = row.colour
-    _show_map(all_truth, image, truth.grid, scene)
+    _show_truth(all_truth, scene, truth, categories)
     all_truth.set_title("M_gt of " + ", ".join(categories.names), fontsize=9)
     for number, look in enumerate(looks, start=1):
         x, y, theta = look.pose
@@ -167,6 +164,19 @@ def _show_map(
             axes.add_patch(Polygon(thing.box.footprint(), fill=False, linewidth=0.6))
     low, high = _reach(scene)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m", ylabel="y, m")
+
+
+def show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: CategoryTable) -> None:
+    """M_gt of all categories over M_occu, with the names of the objects."""
+    _show_truth(axes, scene, truth, categories)
+    _name_objects(axes, scene)
+
+
+def _show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: CategoryTable) -> None:
+    image = _paint(truth.occupied, OCCUPIED)
+    for row, layer in zip(categories, truth.truth, strict=True):
+        image[layer] = row.colour
+    _show_map(axes, image, truth.grid, scene)
 
 
 def _reach(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
