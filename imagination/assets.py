@@ -1,6 +1,7 @@
 """Fetch or list what plugins need and the program does not carry: `python -m imagination.assets sweethome3d`."""
 
 import sys
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import yaml
@@ -10,7 +11,7 @@ from imagination.errors import UserError, check_choice
 
 GROUP = "assets"
 """Folder of a plugin's conf tree: each file's `_target_` is a provider without arguments."""
-USAGE = "python -m imagination.assets NAME [list=true]"
+USAGE = "python -m imagination.assets NAME [list=true | list=FOLDER]"
 
 
 @runtime_checkable
@@ -24,8 +25,12 @@ class Provider(Protocol):
             UserError: if they cannot be had, with how to get them elsewhere.
         """
 
-    def listing(self) -> list[str]:
-        """What they hold, and what is left out with the reason, a line each."""
+    def listing(self, folder: Path | None) -> list[str]:
+        """What they hold and what is left out with the reason, a line each; of a folder, what its files become.
+
+        Raises:
+            UserError: if there is nothing to list.
+        """
 
 
 def providers() -> dict[str, str]:
@@ -52,12 +57,16 @@ def main(arguments: list[str]) -> None:
     if not known:
         raise UserError(f"assets: got {name!r}, but no plugin offers assets; put one into plugins/")
     check_choice("assets", name, known)
-    if unknown := set(rest) - {"list=true", "list=false"}:
-        raise UserError(f"assets: got {' '.join(sorted(unknown))}, expected list=true or nothing")
+    if len(rest) > 1 or not all(text.startswith("list=") for text in rest):
+        raise UserError(f"assets: got {' '.join(rest)}, expected list=true, list=FOLDER or nothing")
     from hydra.utils import get_class
 
     provider: Provider = get_class(known[name])()
-    print("\n".join(provider.listing()) if "list=true" in rest else provider.fetch())
+    if rest:
+        asked = rest[0].removeprefix("list=")
+        print("\n".join(provider.listing(None if asked == "true" else Path(asked))))
+    else:
+        print(provider.fetch())
 
 
 if __name__ == "__main__":

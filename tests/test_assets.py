@@ -9,7 +9,7 @@ import pytest
 from imagination import assets
 from imagination.errors import UserError
 from tests.conftest import Command
-from tests.scene_sources.sweet_home import write_catalogue
+from tests.scene_sources.sweet_home import write_catalogue, write_home
 
 
 def test_assets_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
@@ -17,7 +17,7 @@ def test_assets_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert "sweethome3d" in capsys.readouterr().out
     with pytest.raises(UserError, match="assets: got 'attic', expected one of: sweethome3d"):
         assets.main(["attic"])
-    with pytest.raises(UserError, match="got deep=true, expected list=true"):
+    with pytest.raises(UserError, match="got deep=true, expected list=true, list=FOLDER"):
         assets.main(["sweethome3d", "deep=true"])
 
 
@@ -50,6 +50,10 @@ def test_the_furniture_is_fetched_without_root_and_listed(
         line.startswith("chair") and "Test#chair1 (Chair; Somebody, CC BY 3.0)" in line for line in lines
     )
     assert lines[-1] == "12 models in use, 0 left out"
+    write_home(tmp_path / "homes" / "flat.sh3d")
+    assets.main(["sweethome3d", f"list={tmp_path / 'homes'}"])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["flat (train)", "    Sedia: chair (by catalogue), drawn as its model"]
 
 
 def test_a_failed_fetch_says_how_to_get_it_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,18 +39,17 @@ class Simulators:
         self._simulator: Any = None
         self._shown: tuple[Any, ...] = ()
 
-    def show(self, dataset: str, scene: str, camera: Camera, device: int, robot_radius: float) -> Any:
-        """The simulator, showing a scene through a camera, with a navmesh for the robot."""
-        wanted = dataset, scene, camera, device, robot_radius
+    def show(self, dataset: str, scene: str, camera: Camera, device: int) -> Any:
+        """The simulator, showing a scene through a camera."""
+        wanted = dataset, scene, camera, device
         if self._shown != wanted:
             module = habitat_sim()
             configuration = _configuration(module, dataset, scene, camera, device)
+            self._shown = ()  # until it has changed, it shows nothing for sure
             if self._simulator is None:
                 self._simulator = module.Simulator(configuration)
             else:
                 self._simulator.reconfigure(configuration)
-            self._shown = ()
-            _navmesh(module, self._simulator, robot_radius, scene)
             self._shown = wanted
         return self._simulator
 
@@ -67,11 +66,9 @@ SIMULATORS = Simulators()
 class HabitatRenderer:
     """Renders one scene of Habitat, as the ray caster renders a mesh."""
 
-    def __init__(
-        self, dataset: str, scene: str, device: int, robot_radius: float, rows: dict[int, int]
-    ) -> None:
+    def __init__(self, dataset: str, scene: str, device: int, rows: dict[int, int]) -> None:
         self._of = dataset, scene
-        self._device, self._radius = device, robot_radius
+        self._device = device
         self._lookup = np.zeros(max(rows, default=0) + 1, np.int32)
         for semantic_id, instance in rows.items():
             self._lookup[semantic_id] = instance
@@ -82,7 +79,7 @@ class HabitatRenderer:
         Raises:
             UserError: if the simulator gives images of another form.
         """
-        simulator = SIMULATORS.show(*self._of, camera, self._device, self._radius)
+        simulator = SIMULATORS.show(*self._of, camera, self._device)
         place, (w, x, y, z) = camera_state(camera_to_world)
         state = habitat_sim().AgentState(place.astype(np.float32), _numpy_quaternion(w, x, y, z))
         simulator.get_agent(0).set_state(state)
@@ -133,8 +130,13 @@ def _configuration(module: Any, dataset: str, scene: str, camera: Camera, device
     return module.Configuration(simulator, [agent])
 
 
-def _navmesh(module: Any, simulator: Any, robot_radius: float, scene: str) -> None:
-    settings = module.NavMeshSettings()
+def make_navmesh(simulator: Any, robot_radius: float, scene: str) -> None:
+    """Compute where a robot of this radius may be in the scene that is shown.
+
+    Raises:
+        UserError: if it may be nowhere.
+    """
+    settings = habitat_sim().NavMeshSettings()
     settings.set_defaults()
     settings.agent_radius = float(robot_radius)
     settings.agent_height = TALLEST

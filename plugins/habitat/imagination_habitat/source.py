@@ -16,7 +16,7 @@ from imagination.geometry.camera import Camera
 from imagination.scenes.scene import SPLITS, FreeSpace, Lighting, Mesh, Scene, SceneObject, Split
 from imagination.views.poses import sample_poses
 from imagination_habitat.frames import free_grid, upright
-from imagination_habitat.simulator import SIMULATORS, HabitatRenderer
+from imagination_habitat.simulator import SIMULATORS, HabitatRenderer, make_navmesh
 
 STOREY = 1.5
 """Least height between two floors, metres."""
@@ -87,7 +87,8 @@ class HabitatScenes:
             UserError: if there is no such scene, it has no navigable floor, or its semantics are empty.
         """
         check_choice("scene", scene, [name for names in self._scenes.values() for name in names])
-        simulator = self._show(scene)
+        simulator = SIMULATORS.show(self._dataset, scene, self._camera, self._device)
+        make_navmesh(simulator, self._robot_radius, scene)
         floor = floor_height(simulator.pathfinder)
         free = self._free_space(simulator.pathfinder, floor, scene)
         objects, rows = self._objects(simulator, floor)
@@ -96,7 +97,7 @@ class HabitatScenes:
                 f"habitat: scene {scene} names no object on the floor at {floor:.2f} m; its semantics are empty: "
                 "give the scene data set config that lists its semantic files"
             )
-        renderer = HabitatRenderer(self._dataset, scene, self._device, self._robot_radius, rows)
+        renderer = HabitatRenderer(self._dataset, scene, self._device, rows)
         found = Scene(scene, _nothing(), Lighting(), objects, free, floor, floor + CEILING, renderer)
         self._check_semantics(found, renderer)
         return found
@@ -109,9 +110,6 @@ class HabitatScenes:
         settings = self._robot_radius, self._resolution, sorted(self._category_of.items()), str(self._camera)
         text = json.dumps([self.name, self._dataset, scene, files, repr(settings), code_version()])
         return hashlib.sha256(text.encode()).hexdigest()
-
-    def _show(self, scene: str) -> Any:
-        return SIMULATORS.show(self._dataset, scene, self._camera, self._device, self._robot_radius)
 
     def _free_space(self, pathfinder: Any, floor: float, scene: str) -> FreeSpace:
         view = np.asarray(pathfinder.get_topdown_view(self._resolution, floor), bool)

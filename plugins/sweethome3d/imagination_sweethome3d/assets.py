@@ -18,6 +18,7 @@ from imagination_sweethome3d.furniture import (
     find_archives,
     split_designs,
 )
+from imagination_sweethome3d.homes import listing_of_homes
 
 PACKAGE = "sweethome3d-furniture"
 ELSEWHERE = (
@@ -54,8 +55,13 @@ class FurniturePackage:
             shutil.copytree(unpacked, target, dirs_exist_ok=True)
         return _told(find_archives(str(target)))
 
-    def listing(self) -> list[str]:
-        """Every entry that is furniture of a known label: its split, or why it is left out; others are counted."""
+    def listing(self, folder: Path | None) -> list[str]:
+        """Every entry that is furniture of a known label: its split, or why it is left out; others are counted.
+
+        Of a folder of homes, what each piece became.
+        """
+        if folder is not None:
+            return listing_of_homes(folder)
         archives = find_archives()
         with tempfile.TemporaryDirectory() as scratch:
             found = candidates(archives, Cache(scratch))

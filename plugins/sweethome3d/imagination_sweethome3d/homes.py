@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imagination.categories import CategoryTable
+from imagination.categories import Category, CategoryTable
 from imagination.errors import UserError, check_choice
 from imagination.scenes.free_space import free_space
 from imagination.scenes.procedural.home import assemble, object_of
@@ -231,13 +231,18 @@ def _made(archive: Archive, piece: HomePiece, label: str) -> tuple[Piece, str]:
     return Piece(name, key, vertices, faces, uv, model.face_finish, finishes), "its model"
 
 
-def listing(homes: SweetHomes, scenes: Sequence[str]) -> list[str]:
-    """What each piece of some scenes became, a line each."""
+def listing_of_homes(folder: Path) -> list[str]:
+    """What each piece of the homes in a folder became, a line each.
+
+    Raises:
+        UserError: if the folder holds no home, or one is broken.
+    """
+    homes = SweetHomes(str(folder), CategoryTable([Category("any", (0, 0, 0))]), 0.2)
     lines = []
-    for scene in scenes:
-        lines.append(scene)
-        for piece, label, told_by, drawn in homes.became(scene):
-            lines.append(
-                f"    {piece.name or piece.catalogue_id}: {label or 'nothing'} (by {told_by}), drawn as {drawn}"
-            )
+    for split, paths in _shared_out(folder).items():
+        for scene in (name for path in paths for name in _scenes_of(path)):
+            lines.append(f"{scene} ({split})")
+            for piece, label, told_by, drawn in homes.became(scene):
+                name = piece.name or piece.catalogue_id
+                lines.append(f"    {name}: {label or 'nothing'} (by {told_by}), drawn as {drawn}")
     return lines
