@@ -4,6 +4,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from imagination.config import compose
@@ -22,9 +24,11 @@ def configured(folder: Path, *overrides: str) -> DictConfig:
 
 def source(folder: Path, *overrides: str) -> SceneSource:
     """The scene source that these overrides make."""
-    from hydra.utils import instantiate
-
-    made: SceneSource = instantiate(configured(folder, *overrides).data.scenes)
+    try:
+        made: SceneSource = instantiate(configured(folder, *overrides).data.scenes)
+    except InstantiationException as error:
+        assert error.__cause__ is not None
+        raise error.__cause__ from error
     return made
 
 

@@ -120,7 +120,7 @@ def edit(path: Path, old: str, new: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("ASCII 1.1", "ASCII 9.9", "line 1: got 'ASCII 9.9', expected ASCII 1.0 or ASCII 1.1"),
+        ("ASCII 1.1", "ASCII 9.9", "line 1: got 'ASCII 9.9', expected ASCII 1.0 or 1.1"),
         ("0 0 0 0 0 4 4 1", "0 0 0 0 0 5 4 1", "announces 5 records O, but it has 4"),
         ("H 17", "X 17", "has no header"),
         ("C 0 0 raw#bed 0 bed 0 0 0 0 0", "C 0 0", "line 5: got 3 words, expected 6"),
