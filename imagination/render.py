@@ -19,7 +19,7 @@ from imagination.ground_truth import pictures
 from imagination.ground_truth.label import imaginable_mask, label, neighbourhood
 from imagination.ground_truth.maps import GroundTruth
 from imagination.ground_truth.pictures import Look
-from imagination.scenes.renderer import Renderer
+from imagination.scenes.renderer import SceneRenderer, renderer_of
 from imagination.scenes.scene import SPLITS, Scene, Split
 from imagination.views.poses import sample_poses
 from imagination.views.view import Observer, View
@@ -99,7 +99,7 @@ def choose_looks(observer: Observer, name: str, poses: int, seed: int, kernels: 
     sizes = np.array(
         [label(view.object, view.seen[None], kernels.imaginable).sum(axis=(1, 2)) for view in views]
     )
-    renderer = Renderer(scene.mesh, scene.lighting)
+    renderer = renderer_of(scene)
     looks = []
     for layer in range(len(observer.categories)):
         best = int(sizes[:, layer].argmax())
@@ -109,7 +109,7 @@ def choose_looks(observer: Observer, name: str, poses: int, seed: int, kernels: 
 
 
 def develop(
-    view: View, layer: int, observer: Observer, renderer: Renderer, floor: float, kernels: Kernels
+    view: View, layer: int, observer: Observer, renderer: SceneRenderer, floor: float, kernels: Kernels
 ) -> Look:
     """Everything that becomes of a view for one category."""
     objects = view.object[layer]

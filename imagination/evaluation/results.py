@@ -14,7 +14,7 @@ import torch
 from rich.console import Console
 
 from imagination.data.datamodule import SceneData
-from imagination.evaluation import figures, map_files, report, single_views, tables
+from imagination.evaluation import credits, figures, map_files, report, single_views, tables
 from imagination.evaluation.approaches import NEEDS, Setting
 from imagination.evaluation.outcome import Choices, Report
 from imagination.evaluation.prediction import Model, Predictor, Segmenter
@@ -91,6 +91,7 @@ def evaluate(
         report.declared_sensor(subject.setting, protocol.approaches),
     )
     report.write(folder / "tables", found, protocol, resolution, origin, beside)
+    credits.write(folder / "tables", data.observer.source)
     single_views.write(folder, singles)
     rows = tables.mapping_rows(found, protocol, resolution)
     figures.write(folder / "figures", found, rows)

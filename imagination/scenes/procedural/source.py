@@ -12,8 +12,8 @@ from imagination.categories import CategoryTable
 from imagination.errors import UserError, check_range
 from imagination.scenes import free_space as free_space_module
 from imagination.scenes.procedural.home import build_home
-from imagination.scenes.procedural.stock import LABELS
-from imagination.scenes.scene import SPLITS, Scene, Split
+from imagination.scenes.procedural.stock import LABELS, Furniture, ProceduralFurniture
+from imagination.scenes.scene import SPLITS, Credit, Scene, Split
 
 SOURCE = "procedural"
 
@@ -33,6 +33,7 @@ class ProceduralHomes:
         categories: which labels belong to which category.
         robot_radius: of the robot that must get through every room, metres.
         required: categories that must be among those that homes can contain.
+        furniture: where the pieces come from; made by rule unless given.
 
     Raises:
         UserError: on a value out of range, a label that no home contains, or a required category without labels.
@@ -47,6 +48,7 @@ class ProceduralHomes:
         categories: CategoryTable,
         robot_radius: float,
         required: Sequence[str] = (),
+        furniture: Furniture | None = None,
     ) -> None:
         check_range("procedural homes: seed", seed, 0, 2**63 - 1)
         check_range("procedural homes: robot_radius", robot_radius, 0.05, 0.35, "m")
@@ -63,6 +65,7 @@ class ProceduralHomes:
                 )
         self._seed, self._counts = seed, dict(splits)
         self._categories, self._robot_radius = categories, robot_radius
+        self._furniture = furniture or ProceduralFurniture()
         for name in required:
             categories.index(name)
             if name not in self.categories():
@@ -101,14 +104,21 @@ class ProceduralHomes:
             UserError: if there is no such home.
         """
         split, number = self._parse(scene)
-        return build_home(scene, self._seed, split, number, self._categories, self._robot_radius)
+        return build_home(
+            scene, self._seed, split, number, self._categories, self._robot_radius, self._furniture
+        )
 
     def fingerprint(self, scene: str) -> str:
-        """Changes with the seed, the home, the robot, the categories' labels and the code that builds homes."""
+        """Changes with the seed, the home, the robot, the categories' labels, the furniture and the builders' code."""
         self._parse(scene)
         members = [(category.name, sorted(category.members.get(SOURCE, ()))) for category in self._categories]
-        text = repr((SOURCE, self._seed, scene, self._robot_radius, members, _code_version()))
+        furniture = self._furniture.fingerprint()
+        text = repr((SOURCE, self._seed, scene, self._robot_radius, members, furniture, _code_version()))
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def credits(self) -> Sequence[Credit]:
+        """The models of furniture that others made."""
+        return self._furniture.credits()
 
     def _parse(self, scene: str) -> tuple[Split, int]:
         for split in SPLITS:
