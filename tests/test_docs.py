@@ -15,11 +15,8 @@ def test_the_config_reference_is_up_to_date() -> None:
 
 
 @pytest.mark.parametrize(
-<<<<<<< HEAD
-    "page", ["README.md", "docs/conventions.md", "docs/ground-truth.md", "docs/robot.md"]
-=======
-    "page", ["README.md", "docs/conventions.md", "docs/ground-truth.md", "docs/scene-sources.md"]
->>>>>>> issue4
+    "page",
+    ["README.md", "docs/conventions.md", "docs/ground-truth.md", "docs/robot.md", "docs/scene-sources.md"],
 )
 def test_links_lead_somewhere(page: str) -> None:
     path = ROOT / page
@@ -27,7 +24,6 @@ def test_links_lead_somewhere(page: str) -> None:
         assert (path.parent / target).exists(), f"{page} links to {target}"
 
 
-<<<<<<< HEAD
 def test_the_example_of_the_mapper_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As it stands in the README, with a small unit that was never trained."""
     from imagination.checkpoints import Checkpoint
@@ -48,7 +44,8 @@ def test_the_example_of_the_mapper_runs(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.warns(UserWarning, match="field of view"):
         exec(compile(code, "README.md", "exec"), {})
     assert (load_layer(tmp_path / "my_map" / "map.yaml").layer >= 0).any()
-=======
+
+
 def test_the_smallest_scene_source_is_small() -> None:
     example = ROOT / "tests" / "plugins_example"
     files = [
@@ -57,4 +54,3 @@ def test_the_smallest_scene_source_is_small() -> None:
     ]
     lines = sum(len(path.read_text().splitlines()) for path in files)
     assert lines < 60 and f"{lines} lines" in (ROOT / "docs" / "scene-sources.md").read_text()
->>>>>>> issue4
