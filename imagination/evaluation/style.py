@@ -68,7 +68,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 def theme(name: str) -> Iterator[None]:
     """Draw and save figures for a light or a dark page."""
     colour = THEMES[name]
-    changes = {
+    changes: Any = {  # matplotlib types each key by itself
         "figure.facecolor": colour["face"],
         "savefig.facecolor": colour["face"],
         "axes.facecolor": colour["face"],
