@@ -82,8 +82,8 @@ def newest(outputs: Path, overrides: Sequence[str], finished: bool) -> Path | No
 
 
 def _choices_of(path: Path) -> list[str]:
-    kept: list[str] = sorted(OmegaConf.load(path).get("choices", []))
-    return kept
+    """The overrides that a run was started with."""
+    return sorted(OmegaConf.select(OmegaConf.load(path), "choices", default=[]))
 
 
 def _run(name: str, *overrides: Sequence[str]) -> None:

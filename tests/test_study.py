@@ -12,7 +12,7 @@ CHOICES = ["+experiment=chair_unet", "scale=test"]
 
 def run(outputs: Path, date: str, choices: list[str], *files: str) -> Path:
     folder = outputs / "chair_unet" / date
-    for name in files:
+    for name in ("run.log", *files):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).touch()
     OmegaConf.save({"choices": choices}, folder / runs.COMPOSED)

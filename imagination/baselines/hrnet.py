@@ -1,6 +1,7 @@
 """HRNetV2 (Wang et al. 2020, Deep High-Resolution Representation Learning) for first-person segmentation."""
 
 from math import ceil
+from typing import Any
 
 import timm
 import torch
@@ -40,13 +41,14 @@ class HRNetV2(nn.Module):
         super().__init__()
         check_choice("model.network.name", name, timm.list_models("hrnet_*"))
         self.enlarge = check_range("model.network.enlarge", enlarge, 1.0, 16.0)
-        self.encoder = timm.create_model(
+        encoder: Any = timm.create_model(
             name, features_only=True, feature_location="", out_indices=(1, 2, 3, 4)
         )
-        for part in self.encoder.modules():
+        for part in encoder.modules():
             if isinstance(part, nn.Upsample):
                 part.mode, part.align_corners = "bilinear", False
-        channels = sum(branch[-1].conv2.out_channels for branch in self.encoder.stage4[-1].branches)
+        channels = sum(branch[-1].conv2.out_channels for branch in encoder.stage4[-1].branches)
+        self.encoder = encoder
         self.decoder = nn.Sequential(
             Convolution(channels, channels // 4), nn.Conv2d(channels // 4, classes, 1)
         )

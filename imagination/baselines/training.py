@@ -9,7 +9,7 @@ from lightning import LightningModule
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 from torch.optim import Optimizer
-from torchmetrics import ConfusionMatrix
+from torchmetrics.classification import MulticlassConfusionMatrix
 
 from imagination.baselines.hrnet import at_size
 
@@ -37,8 +37,8 @@ class SegmentationTraining(LightningModule):
         self.optimizer = optimizer
         classes = 1 + len(self.categories)
         self.network = network(classes=classes)
-        self.val_scores = ConfusionMatrix(task="multiclass", num_classes=classes)
-        self.test_scores = ConfusionMatrix(task="multiclass", num_classes=classes)
+        self.val_scores = MulticlassConfusionMatrix(classes)
+        self.test_scores = MulticlassConfusionMatrix(classes)
         self._batch_start = 0.0
 
     @torch.no_grad()
@@ -87,12 +87,12 @@ class SegmentationTraining(LightningModule):
         logits = at_size(self.network(batch["rgb"]), *truth.shape[-2:])
         return cross_entropy(logits, truth), logits.argmax(dim=1)
 
-    def _score(self, batch: Batch, stage: str, scores: ConfusionMatrix) -> None:
+    def _score(self, batch: Batch, stage: str, scores: MulticlassConfusionMatrix) -> None:
         loss, predicted = self._compare(batch)
         self.log(f"{stage}/loss", loss, batch_size=len(predicted), sync_dist=True)
         scores.update(predicted, batch["segmentation"].long())
 
-    def _log_scores(self, stage: str, scores: ConfusionMatrix) -> None:
+    def _log_scores(self, stage: str, scores: MulticlassConfusionMatrix) -> None:
         """Log IoU, precision and recall: the mean over categories, of which none is not one, and of each."""
         counts: Tensor = scores.compute()
         hits, truth, predicted = (

@@ -112,7 +112,8 @@ def load(path: Path) -> SavedMaps:
             arrays = dict(file)
         run = Run(str(arrays.pop("home")), float(arrays.pop("cell_width")), int(arrays.pop("number")))
         x, y = arrays.pop("origin").tolist()
-        grid = Grid(float(arrays.pop("resolution")), *arrays["seen"].shape, (x, y))
+        rows, columns = arrays["seen"].shape
+        grid = Grid(float(arrays.pop("resolution")), rows, columns, (x, y))
         names = {name: arrays.pop(name).tolist() for name in ("approaches", "categories")}
         return SavedMaps(run, **names, **arrays, grid=grid)
     except FileNotFoundError as error:

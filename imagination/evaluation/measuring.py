@@ -108,7 +108,7 @@ def measure_run(
         "level": levels[0],
         "threshold": threshold,
         "truth": area.truth,
-        "present": observer.truth(home).truth[plan.setting.layers].any(axis=(1, 2)),
+        "present": np.asarray(observer.truth(home).truth[plan.setting.layers].any(axis=(1, 2))),
         "seen": seen,
         "occupied": area.occupied,
         "poses": views["pose"],
@@ -125,7 +125,8 @@ def measure_run(
 def maps_of(run: Run, plan: Plan, arrays: Arrays) -> SavedMaps:
     """The maps among what `measure_run` gave."""
     x, y = arrays["origin"].tolist()
-    grid = Grid(float(arrays["resolution"]), *arrays["seen"].shape, (x, y))
+    rows, columns = arrays["seen"].shape
+    grid = Grid(float(arrays["resolution"]), rows, columns, (x, y))
     held = {name: arrays[name] for name in SavedMaps._fields if name in arrays}
     return SavedMaps(run, list(plan.approaches), list(plan.setting.categories), **held, grid=grid)
 

@@ -1,8 +1,7 @@
 """The table of what networks were trained on."""
 
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 from imagination.checkpoints import KEY, CheckpointFiles
 from imagination.checkpoints import Checkpoint as Read
@@ -33,7 +32,7 @@ def test_every_network_tells_what_it_took(tmp_path: Path) -> None:
     )
     unit = checkpoint(tmp_path / "best.ckpt", "chair_unet", "maps", ["chair"], {"TrainingRecord": counts(4)})
     old = checkpoint(tmp_path / "old.ckpt", "chair_unet", "maps", ["chair"], {})
-    report = cast(Report, SimpleNamespace(homes={"chair": ["test_0"]}, first_person={"chair": 0.5}))
+    report = Report({}, {}, {}, {"chair": ["test_0"]}, {"chair": []}, [], [], {}, {"chair": 0.5})
     rows = training_rows([unit, best, old], report)
     assert [(row["network"], row["category"], row["rounds"]) for row in rows] == [
         ("chair_unet", "chair", "4"), ("hrnet", "chair", "9"), ("chair_unet", "chair", ""),
