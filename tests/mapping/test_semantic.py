@@ -204,6 +204,8 @@ def test_descriptions_come_back_from_text_and_strangers_are_refused() -> None:
         (('"version": 1', '"version": 2'), "got version 2"),
         (('"cells": 31', '"cells": 9000000'), "ego.cells: got 9000000"),
         (('"width": 48', '"width": 4000000'), "camera.width: got 4000000"),
+        (('"chair"', '"../chair"'), "got the category '../chair'"),
+        (('"chair"', '"map"'), "got the category 'map'"),
         (('"ego"', '"egg"'), "its description cannot be read"),
     ):
         with pytest.raises(UserError, match=told):
