@@ -40,7 +40,7 @@ def test_it_registers_what_the_units_say_as_the_evaluation_does() -> None:
         view = project_depth(depth, CAMERA, EGO, toy.description.obstacles)
         said = toy(Observation(rgb, depth, view.occupied, view.seen, CAMERA.mount_height))
         statement = valid_imagination(said, view.seen[None], 0.5, 0.62, 0.12)
-        plain.register(statement.values, statement.mask, pose)
+        plain.register(statement.values, statement.mask, pose, statement.imagined)
         np.testing.assert_array_equal(update.probabilities, said)
         assert update.outside == 0
     maps = mapper.maps
