@@ -55,7 +55,8 @@ class Description:
                 not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name) or name in RESERVED
             ):  # they become names of files
                 raise UserError(
-                    f"units: got the category {name!r}, expected letters, digits, _ and -, and none of {', '.join(RESERVED)}"
+                    f"units: got the category {name!r}, expected letters, digits, _ and -, and none of "
+                    f"{', '.join(RESERVED)}"
                 )
         if len(self.colours) != len(self.categories):
             raise UserError(f"units: got {len(self.colours)} colours for {len(self.categories)} categories")

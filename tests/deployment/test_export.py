@@ -42,7 +42,7 @@ def test_it_answers_as_pytorch(files: Path, name: str) -> None:
     check = compare(module, reference, views)
     assert check.difference < 1e-4
     answers = np.stack([module(view.observation) for view in views])
-    assert np.ptp(answers) > 0.2 and answers[0].std() > 0.02
+    assert answers.min() < 0.4 and answers.max() > 0.6 and answers[0].std() > 0.02
     for channel in range(2):  # each of them looks at heights above the floor, which move with the camera
         lower = views[0].observation._replace(mount_height=0.9)
         np.testing.assert_allclose(module(lower), reference(lower), atol=1e-4)
