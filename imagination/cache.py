@@ -71,14 +71,14 @@ class Cache:
         """
         path = self.path(kind, key)
         try:
-            return _decode(path.read_bytes())
+            return decode(path.read_bytes())
         except FileNotFoundError:
             return None
         except OSError as error:
             raise UserError(
                 f"cache: cannot read {path}: {error.strerror}; remove it or set paths.cache anew"
             ) from error
-        except _DamagedError:
+        except DamagedError:
             log.warning("cache: %s is damaged (its checksum does not fit); it is made again", path)
             return None
 
@@ -89,7 +89,7 @@ class Cache:
             UserError: if the disk is full or the folder cannot be written.
         """
         path = self.path(kind, key)
-        content = _encode(arrays)
+        content = encode(arrays)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             _write(path, content)
@@ -117,7 +117,7 @@ def code_version() -> str:
     return digest.hexdigest()
 
 
-class _DamagedError(Exception):
+class DamagedError(Exception):
     """A file that is not what was stored."""
 
 
@@ -132,7 +132,8 @@ def _write(path: Path, content: bytes) -> None:
             raise
 
 
-def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
+def encode(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Arrays as the content of a file; see the module's docstring."""
     header, parts = [], []
     for name, array in arrays.items():
         raw = (np.packbits(array) if array.dtype == bool else np.ascontiguousarray(array)).tobytes()
@@ -143,11 +144,16 @@ def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
     return b"".join([MAGIC, hashlib.sha256(body).digest(), body])
 
 
-def _decode(content: bytes) -> Arrays:
+def decode(content: bytes) -> Arrays:
+    """The arrays in the content of a file.
+
+    Raises:
+        DamagedError: if it is not what `encode` gave.
+    """
     start = len(MAGIC) + DIGEST
     body = memoryview(content)[start:]
     if content[: len(MAGIC)] != MAGIC or content[len(MAGIC) : start] != hashlib.sha256(body).digest():
-        raise _DamagedError
+        raise DamagedError
     place = 4 + int.from_bytes(body[:4], "big")
     arrays = {}
     for entry in json.loads(bytes(body[4:place])):

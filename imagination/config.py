@@ -49,6 +49,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.eval_every": (1, 1_000_000, "rounds"),
     "scale.eval_homes": (1, 100_000, "homes"),
     "scale.batch_size": (1, 100_000, "views"),
+    "scale.accumulate": (1, 100_000, "parts"),
     "scale.rounds": (1, 10**9, "rounds"),
     "scale.learning_rate": (0.0, 10.0, ""),
     "scale.final_learning_rate": (0.0, 10.0, ""),
@@ -57,7 +58,8 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.orientations": (1, 1000, ""),
     "scale.workers": (0, 1024, "processes"),
     "trainer.max_epochs": (1, 10**9, "rounds"),
-    "trainer.devices": (1, 1, "device"),  # several need views of their own for each rank
+    "trainer.devices": (1, 1024, "devices"),
+    "trainer.num_nodes": (1, 10_000, "hosts"),
 }
 """What is checked before anything is built; builders check what they get as well. Whole bounds mean whole numbers."""
 

@@ -2,6 +2,8 @@
 
 import logging
 import re
+import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +18,8 @@ from yaml import YAMLError
 from imagination import runs
 from imagination.config import check_targets, validate
 from imagination.errors import UserError
+from imagination.progress import console
+from imagination.ranks import agree, lost_another, rank
 
 log = logging.getLogger(__name__)
 
@@ -47,13 +51,25 @@ def opened(config: DictConfig) -> Iterator[Run]:
     Raises:
         UserError: if there is nothing to go on with, or it may not be changed like this.
     """
+    if rank():
+        run = _joined(config)
+        try:
+            yield run
+        except Exception as error:
+            if lost_another(error):
+                raise _alone(run.folder) from error
+            raise
+        return
     folder = _existing(config) if config.resume or config.ckpt_path else _new(config)
+    agree(folder)
     with runs.locked(folder), runs.logging_to(folder / "run.log"):
         run = _go_on(folder, config) if config.resume or config.ckpt_path else _begin(folder, config)
         try:
             yield run
-        except Exception:
+        except Exception as error:
             log.error("The run failed", exc_info=True, extra=runs.FILE_ONLY)
+            if "torch" in sys.modules and lost_another(error):
+                raise _alone(folder) from error
             raise
         except (KeyboardInterrupt, SystemExit) as stop:
             if not _pressed(stop):
@@ -64,6 +80,25 @@ def opened(config: DictConfig) -> Iterator[Run]:
             else:
                 log.warning("Interrupted before a round was finished; start again with the same arguments")
             raise SystemExit(130) from stop
+
+
+def _joined(config: DictConfig) -> Run:
+    """The run that the first of several processes has opened; it alone writes and speaks."""
+    console.quiet = True
+    logging.getLogger().setLevel(logging.ERROR)
+    warnings.simplefilter("ignore")
+    folder = agree()
+    if config.resume or config.ckpt_path:
+        return _go_on(folder, config)
+    config.paths.run = str(folder)
+    return Run(folder, config, None)
+
+
+def _alone(folder: Path) -> UserError:
+    return UserError(
+        "training: another of the processes that train together is gone, so the job stops; go on with: "
+        f"python -m imagination.train ckpt_path={folder / runs.LAST}"
+    )
 
 
 def _new(config: DictConfig) -> Path:

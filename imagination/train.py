@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import logging
 import warnings
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from imagination import runs
 from imagination.config import command
-from imagination.errors import check_choice
+from imagination.errors import UserError, check_choice
 from imagination.progress import stage
 from imagination.resume import Run, opened
 from imagination.summary import egocentric, record_hyperparameters, summary
 
 if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does without
     from lightning import LightningModule, Trainer
+    from lightning.pytorch.strategies import Strategy
 
     from imagination.data.datamodule import SceneData
 
@@ -33,7 +37,8 @@ def main(config: DictConfig) -> None:
     with opened(config) as run:
         log.info("Run folder: %s\nWatch it: tensorboard --logdir %s", run.folder, run.folder.parent)
         trainer = train(run)
-        log.info("%s\n%s", egocentric(run, trainer), summary(run, best(run)))
+        if trainer.is_global_zero:
+            log.info("%s\n%s", egocentric(run, trainer), summary(run, best(run)))
 
 
 def train(run: Run) -> Trainer:
@@ -61,6 +66,7 @@ def build(config: DictConfig) -> tuple[LightningModule, SceneData, Trainer]:
 
     from imagination.checkpoints import CheckpointFiles, ConfigInCheckpoint
 
+    check_shares(config)
     quiet_lightning()
     seed_everything(config.seed, verbose=False)
     model = instantiate(config.model.module)
@@ -68,12 +74,47 @@ def build(config: DictConfig) -> tuple[LightningModule, SceneData, Trainer]:
     callbacks = [ConfigInCheckpoint(config), *(instantiate(node) for node in config.callbacks.values())]
     trainer = instantiate(
         config.trainer,
+        strategy=strategy(config.trainer.devices * config.trainer.num_nodes),
         precision=precision(config.trainer.precision),
         callbacks=callbacks,
         logger=instantiate(config.logger),
         plugins=[CheckpointFiles()],
     )
     return model, data, trainer
+
+
+def check_shares(config: DictConfig) -> None:
+    """Check that the work can be shared out among the processes that train together.
+
+    Raises:
+        UserError: if a size is not a multiple of their number, or a sweep would start them.
+    """
+    count = config.trainer.devices * config.trainer.num_nodes
+    if count == 1:
+        return
+    if HydraConfig.get().mode == RunMode.MULTIRUN:
+        raise UserError(
+            f"trainer.devices: got {count} processes in a sweep, whose members train on one device each; start each "
+            "member by itself, or sweep with trainer.devices=1"
+        )
+    sizes = {name: config.scale[name] for name in ("parallel_scenes", "batch_size", "buffer_size")}
+    for name, size in sizes.items():
+        if size % count:
+            raise UserError(
+                f"scale.{name}: got {size} for {count} processes, expected a multiple of {count}; change it or "
+                "trainer.devices"
+            )
+    if config.scale.homes.train < count:
+        raise UserError(
+            f"scale.homes.train: got {config.scale.homes.train} for {count} processes, expected a home for each"
+        )
+
+
+def strategy(processes: int) -> Strategy | str:
+    """How processes train together: Lightning's DDP, whose others wait while the first one evaluates."""
+    from lightning.pytorch.strategies import DDPStrategy
+
+    return DDPStrategy(timeout=timedelta(days=1)) if processes > 1 else "auto"
 
 
 def quiet_lightning() -> None:
@@ -83,6 +124,7 @@ def quiet_lightning() -> None:
     warnings.filterwarnings(
         "ignore", message="Checkpoint directory .* exists and is not empty"
     )  # as it should on resume
+    warnings.filterwarnings("ignore", message=".*sync_dist=True.*")  # these values are the same on all ranks
 
 
 def precision(asked: str) -> str:

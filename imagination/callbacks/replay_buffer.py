@@ -10,6 +10,8 @@ from imagination.data.datamodule import SceneData
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.errors import UserError, check_range
 from imagination.progress import progress
+from imagination.ranks import rank, ranks
+from imagination.units.loss import batch_counts
 from imagination.views.collector import Collector, Stream, Views
 
 
@@ -50,6 +52,12 @@ class ReplayBufferCallback(Callback):
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
+        if ranks() > 1:  # each keeps its part
+            self.buffer = ReplayBuffer(self.buffer.size // ranks(), self.buffer.aggregation_factor)
+        share = data.batch_size // ranks()
+        check_range(
+            "scale.accumulate", trainer.accumulate_grad_batches, 1, share, "parts of a process's batch"
+        )
         data.rounds = _Rounds(self, data, trainer)
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -59,7 +67,7 @@ class ReplayBufferCallback(Callback):
         self._fill(collector, newest, 2 * max(1, data.workers))
         if trainer.current_epoch + 1 < (trainer.max_epochs or 0):
             self._start(collector, newest + 1)  # renders while this round trains
-        collected = (newest + 1) * collector.views_per_collection
+        collected = (newest + 1) * collector.views_per_collection * ranks()
         pl_module.log("data/collected_views", float(collected))
         pl_module.log(
             "data/draws_per_view",
@@ -89,10 +97,22 @@ class _Rounds:
         self.callback, self.data, self.trainer = callback, data, trainer
 
     def __len__(self) -> int:
-        return self.callback.update_batches
+        return self.callback.update_batches * self.trainer.accumulate_grad_batches
 
     def __iter__(self) -> Iterator[Batch]:
-        for number in range(len(self)):
-            seed = [self.data.seed, Stream.BATCHES, self.trainer.current_epoch, number]
-            views = self.callback.buffer.draw(self.data.batch_size, np.random.default_rng(seed))
-            yield self.data.assemble(views)
+        for number in range(self.callback.update_batches):
+            place = number * ranks() + rank()
+            seed = [self.data.seed, Stream.BATCHES, self.trainer.current_epoch, place]
+            share = self.data.batch_size // ranks()
+            views = self.callback.buffer.draw(share, np.random.default_rng(seed))
+            yield from parts(self.data.assemble(views), self.trainer.accumulate_grad_batches)
+
+
+def parts(batch: Batch, count: int) -> Iterator[Batch]:
+    """A batch in `count` parts for gradient accumulation, each with the counts that weigh the loss of the whole."""
+    if count == 1:
+        yield batch
+        return
+    counts = batch_counts(batch["label"], batch["neighbourhood"])
+    for first in range(count):
+        yield {**{name: values[first::count] for name, values in batch.items()}, "counts": counts}

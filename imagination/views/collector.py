@@ -29,6 +29,7 @@ class Stream(IntEnum):
     HELD_OUT_VIEWS = 2
     BATCHES = 3
     VIEWPOINTS = 4
+    SHARDS = 5
 
 
 PoseSampler = Callable[[Scene, int, np.random.Generator], list[Pose]]
@@ -70,6 +71,7 @@ class Collector:
         seed: of the run.
         parallel_scenes: scenes looked at in one collection.
         steps: looks in each of them.
+        first_slot: number of the first of these scenes among those of all processes that collect together.
     """
 
     pool: ScenePool
@@ -78,6 +80,7 @@ class Collector:
     seed: int
     parallel_scenes: int
     steps: int
+    first_slot: int = 0
 
     def __post_init__(self) -> None:
         check_range("parallel_scenes", self.parallel_scenes, 1, 4096)
@@ -102,7 +105,7 @@ class Collector:
             "views": {scene: observer.view_key(scene) for scene in sorted(set(slots))},
             "slots": slots,
             "sampler": plain(self.sampler),
-            "seed": [self.seed, index],
+            "seed": [self.seed, index, self.first_slot],
             "steps": self.steps,
         }
         if (kept := observer.cache.load("views", key)) is not None:
@@ -113,7 +116,7 @@ class Collector:
             self.pool.submit(
                 look, scene, self.sampler, (self.seed, Stream.TRAINING_VIEWS, index, slot), self.steps
             )
-            for slot, scene in enumerate(slots)
+            for slot, scene in enumerate(slots, start=self.first_slot)
         ]
 
         def wait() -> Views:
