@@ -14,7 +14,7 @@ import hydra
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
-from hydra.errors import HydraException
+from hydra.errors import HydraException, MissingConfigException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -75,6 +75,9 @@ TRUSTED = (
     "torchmetrics",
 )
 """Where classes that a config read from a file builds may be defined, besides plugins."""
+
+EXTRAS = {"hydra/launcher/joblib": "joblib"}
+"""Options that an optional package brings, and the extra that installs it."""
 
 RESOLVER = re.compile(r"\$\{[\w.]+:")
 """A call inside a value, such as ${oc.decode:…}, which could make a target out of text."""
@@ -153,6 +156,9 @@ def explain(error: BaseException) -> str | None:
             return str(cause)
     if any(not isinstance(cause, (HydraException, OmegaConfBaseException, ImportError)) for cause in causes):
         return None
+    for cause in causes:
+        if isinstance(cause, MissingConfigException) and (extra := EXTRAS.get(str(cause.missing_cfg_file))):
+            return f"{cause.missing_cfg_file}: is not installed; pip install 'imagination[{extra}]'"
     texts = dict.fromkeys(str(cause).partition("\nConfig search path")[0].strip() for cause in causes)
     return "\n".join(text for text in texts if not any(text in other for other in texts if other != text))
 
@@ -164,6 +170,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _register() -> None:
+    plugins.activate()  # before Hydra looks for launchers among what can be imported
     if _SearchPath not in Plugins.instance().discover(SearchPathPlugin):
         Plugins.instance().register(_SearchPath)
 
