@@ -20,7 +20,7 @@ from typing import Any
 
 from benchmarks.measure import Figure, peak_memory
 
-SECTIONS = ("startup", "rendering", "truth", "maps", "buffer", "training", "evaluation")
+SECTIONS = ("startup", "rendering", "truth", "maps", "buffer", "training", "evaluation", "shards")
 LIBRARIES = ("torch", "lightning", "numpy", "numba", "embreex", "opencv-python-headless", "timm")
 FOLDER = Path(__file__).parent
 
