@@ -28,8 +28,7 @@ def value(results: dict[str, Any], section: str, starts: str) -> float:
 
 def predicted(results: dict[str, Any]) -> str:
     """Costs and predictions as Markdown."""
-    render = value(results, "rendering", "rendering 128², RGB + depth + ids, 50 k triangles")
-    truth = value(results, "truth", "ground truth of a")
+    truth = value(results, "shards", "home and truth for a corpus")
     one, two = (value(results, "shards", f"views written by {n}") for n in (1, 2))
     size, read = 1e3 * value(results, "shards", "size of a view"), value(results, "shards", "views read")
     step = next(
@@ -40,9 +39,8 @@ def predicted(results: dict[str, Any]) -> str:
     lines = [
         "| unit cost | measured |",
         "|---|---|",
-        f"| rendering a view, RGB + depth + ids | {1e3 / render:.1f} ms a core |",
-        f"| ground truth of a home | {truth:.1f} s a core |",
-        f"| a view written to shards, homes and truth included | {1e3 / one:.1f} ms a core |",
+        f"| a home and its ground truth | {truth:.1f} s a core |",
+        f"| a view: rendered, projected, cropped, written | {1e3 / one:.1f} ms a core |",
         f"| two processes over twice one | {efficiency:.0%} |",
         f"| size of a view | {size / 1e3:.1f} kB |",
         f"| reading shards | {read:.0f} views/s a process |",
@@ -55,19 +53,18 @@ def predicted(results: dict[str, Any]) -> str:
     ]
     for machines in (1, 10, 100):
         # the truth of a home is paid once, whatever the number of its views
-        work = HOMES * truth + VIEWS / render
+        work = HOMES * truth + VIEWS / one
         hours = max(work / (2 * efficiency * machines), VIEWS * size / STORAGE) / 3600
         epoch = max(VIEWS / (samples * machines), VIEWS * size / STORAGE) / 3600
-        flows = (VIEWS * size / (3600 * each) / 1e6 for each in (hours, epoch))
-        written, fetched = flows
+        written, fetched = (VIEWS * size / (3600 * each) / 1e6 for each in (hours, epoch))
         lines.append(
             f"| {machines} | {hours:.1f} h | {written:.0f} MB/s | {epoch:.1f} h | {fetched:.0f} MB/s |"
         )
-    most = STORAGE / (2 * efficiency * render * size)
+    writers, readers = STORAGE / (2 * efficiency * one * size), STORAGE / (samples * size)
     lines += [
         "",
-        f"A storage of {STORAGE / 1e6:.0f} MB/s saturates first: in rendering at {most:.0f} machines, in training at "
-        f"{STORAGE / (samples * size):.0f}, whose readers could take {read / samples:.0f} times what training asks for.",
+        f"A storage of {STORAGE / 1e6:.0f} MB/s saturates first: in rendering at {writers:.0f} machines, in training at",
+        f"{readers:.0f}. One process reads {read / samples:.0f} times what a machine's training asks for.",
     ]
     return "\n".join(lines)
 
