@@ -31,10 +31,8 @@ def predicted(results: dict[str, Any]) -> str:
     truth = value(results, "shards", "home and truth for a corpus")
     one, two = (value(results, "shards", f"views written by {n}") for n in (1, 2))
     size, read = 1e3 * value(results, "shards", "size of a view"), value(results, "shards", "views read")
-    step = next(
-        figure for figure in results["sections"]["training"]["figures"] if "(default)" in figure["what"]
-    )
-    samples = float(step["what"].rpartition(": ")[2].split()[0])
+    steps = [f["what"] for f in results["sections"]["training"]["figures"] if "(default)" in f["what"]]
+    samples = max(float(what.rpartition(": ")[2].split()[0]) for what in steps)
     efficiency = two / (2 * one)
     lines = [
         "| unit cost | measured |",
@@ -63,8 +61,8 @@ def predicted(results: dict[str, Any]) -> str:
     writers, readers = STORAGE / (2 * efficiency * one * size), STORAGE / (samples * size)
     lines += [
         "",
-        f"A storage of {STORAGE / 1e6:.0f} MB/s saturates first: in rendering at {writers:.0f} machines, in training at",
-        f"{readers:.0f}. One process reads {read / samples:.0f} times what a machine's training asks for.",
+        f"A storage of {STORAGE / 1e6:.0f} MB/s saturates first: in rendering at {writers:.0f} machines, in",
+        f"training at {readers:.0f}. One process reads {read / samples:.0f} times what a machine's training asks for.",
     ]
     return "\n".join(lines)
 

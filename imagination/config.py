@@ -14,7 +14,7 @@ import hydra
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -63,6 +63,9 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
 }
 """What is checked before anything is built; builders check what they get as well. Whole bounds mean whole numbers."""
 
+EXTRAS: Mapping[str, str] = {"hydra/launcher/joblib": "joblib"}
+"""Options that come with an extra of the project."""
+
 CELL_WIDTH = (0.1, 100.0, "m")
 
 TRUSTED = (
@@ -75,9 +78,6 @@ TRUSTED = (
     "torchmetrics",
 )
 """Where classes that a config read from a file builds may be defined, besides plugins."""
-
-EXTRAS = {"hydra/launcher/joblib": "joblib"}
-"""Options that an optional package brings, and the extra that installs it."""
 
 RESOLVER = re.compile(r"\$\{[\w.]+:")
 """A call inside a value, such as ${oc.decode:…}, which could make a target out of text."""
@@ -156,11 +156,10 @@ def explain(error: BaseException) -> str | None:
             return str(cause)
     if any(not isinstance(cause, (HydraException, OmegaConfBaseException, ImportError)) for cause in causes):
         return None
-    for cause in causes:
-        if isinstance(cause, MissingConfigException) and (extra := EXTRAS.get(str(cause.missing_cfg_file))):
-            return f"{cause.missing_cfg_file}: is not installed; pip install 'imagination[{extra}]'"
     texts = dict.fromkeys(str(cause).partition("\nConfig search path")[0].strip() for cause in causes)
-    return "\n".join(text for text in texts if not any(text in other for other in texts if other != text))
+    told = "\n".join(text for text in texts if not any(text in other for other in texts if other != text))
+    missing = [extra for option, extra in EXTRAS.items() if f"'{option}'" in told]
+    return "\n".join([told, *(f"Install it: pip install 'imagination[{extra}]'" for extra in missing)])
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

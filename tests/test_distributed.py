@@ -90,14 +90,14 @@ def scalars(folder: Path, tag: str) -> list[float]:
 @pytest.mark.slow
 def test_scores_are_those_of_one_process(command: Command, tmp_path: Path) -> None:
     """Two processes train and are tested; one process then tests the same checkpoint: the same tables and loss."""
-    done = command("train", *TWO, "scale.held_out_views.test=11", timeout=600)
+    done = command("train", *TWO, "scale.held_out_views.test=11", timeout=1200)
     assert done.returncode == 0, done.stderr
     folders = [path for path in (tmp_path / "outputs" / "chair_unet").iterdir() if not path.is_symlink()]
     assert len(folders) == 1
     tables = {path.name: path.read_bytes() for path in (folders[0] / "tables").glob("*.csv")}
     assert {"ego.csv", "mapping.csv"} <= set(tables)
     together = scalars(folders[0], "test/loss")[-1]
-    done = command("train", "resume=latest", "trainer.devices=1", timeout=600)
+    done = command("train", "resume=latest", "trainer.devices=1", timeout=1200)
     assert done.returncode == 0, done.stderr
     assert {name: (folders[0] / "tables" / name).read_bytes() for name in tables} == tables
     alone = scalars(folders[0], "test/loss")[-1]
@@ -124,8 +124,8 @@ def test_a_process_that_dies_stops_the_job_and_it_goes_on(
             time.sleep(0.1)
         other = child_of(process.pid)
         os.kill((process.pid, other)[victim], signal.SIGKILL)
-        assert process.wait(60) != 0
-        end = time.monotonic() + 60
+        assert process.wait(300) != 0
+        end = time.monotonic() + 300
         while Path(f"/proc/{other}").exists() and time.monotonic() < end:
             time.sleep(0.1)
         assert not Path(f"/proc/{other}").exists()
@@ -137,7 +137,7 @@ def test_a_process_that_dies_stops_the_job_and_it_goes_on(
     from imagination.checkpoints import read_state
 
     rounds = read_state(last)["epoch"] + 1
-    done = command("train", "resume=latest", f"trainer.max_epochs={rounds + 1}", timeout=600)
+    done = command("train", "resume=latest", f"trainer.max_epochs={rounds + 1}", timeout=1200)
     assert done.returncode == 0, done.stderr
     assert read_state(last)["epoch"] == rounds
 
@@ -164,7 +164,7 @@ def test_torchrun_starts_them_all(tmp_path: Path) -> None:
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=600,
+        timeout=1200,
     )
     assert done.returncode == 0, done.stderr
     folders = [path for path in (tmp_path / "outputs" / "chair_unet").iterdir() if not path.is_symlink()]
