@@ -119,7 +119,8 @@ def strategy(processes: int) -> Strategy | str:
 
 def quiet_lightning() -> None:
     """Leave out what Lightning tells about itself; its warnings stay."""
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for name in ("lightning.pytorch", "lightning.fabric.utilities.distributed"):
+        logging.getLogger(name).setLevel(logging.WARNING)
     warnings.filterwarnings("ignore", category=FutureWarning, module=r"lightning\.")
     warnings.filterwarnings(
         "ignore", message="Checkpoint directory .* exists and is not empty"

@@ -112,6 +112,13 @@ def describe(observer: Observer) -> dict[str, Any]:
     return {**{part: plain(getattr(observer, part)) for part in parts}, "categories": table}
 
 
+def _prepare_litdata() -> None:
+    require_extra("litdata", "shards")
+    os.environ.setdefault(
+        "LITDATA_DISABLE_VERSION_CHECK", "1"
+    )  # else it asks PyPI, for 30 s where there is no network
+
+
 def _chunk(scene: str) -> str:
     return f"chunk-{scene}.bin"
 
@@ -122,7 +129,7 @@ def _record(folder: Path, scene: str) -> Path:
 
 def _write_chunk(path: Path, items: Sequence[bytes]) -> dict[str, Any]:
     """Write items as one chunk; what litdata's index says of it."""
-    require_extra("litdata", "shards")
+    _prepare_litdata()
     from litdata.streaming.writer import BinaryWriter
 
     with replacing(path) as temporary, TemporaryDirectory(dir=temporary.parent) as scratch:
@@ -150,7 +157,7 @@ class Shards:
     """
 
     def __init__(self, place: str, cache: str, cache_size: str) -> None:
-        require_extra("litdata", "shards")
+        _prepare_litdata()
         from litdata import StreamingDataset
 
         self.place = place
