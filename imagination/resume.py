@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Thread
 from typing import NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
@@ -19,7 +20,7 @@ from imagination import runs
 from imagination.config import check_targets, validate
 from imagination.errors import UserError
 from imagination.progress import console
-from imagination.ranks import agree, lost_another, rank
+from imagination.ranks import agree, end_with_starter, lost_another, rank
 
 log = logging.getLogger(__name__)
 
@@ -87,6 +88,7 @@ def _joined(config: DictConfig) -> Run:
     console.quiet = True
     logging.getLogger().setLevel(logging.ERROR)
     warnings.simplefilter("ignore")
+    Thread(target=end_with_starter, daemon=True).start()
     folder = agree()
     if config.resume or config.ckpt_path:
         return _go_on(folder, config)
