@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -112,6 +113,31 @@ def describe(observer: Observer) -> dict[str, Any]:
     return {**{part: plain(getattr(observer, part)) for part in parts}, "categories": table}
 
 
+def check_index(index: Any, folder: Path | None) -> None:
+    """Check that an index is one of ours: bytes only, since litdata would unpickle others, in chunks beside it.
+
+    Args:
+        index: as read.
+        folder: in which the chunks are; None if they are not fetched yet.
+
+    Raises:
+        UserError: if it is not.
+    """
+    config, chunks = index["config"], index["chunks"]
+    if config["data_format"] != ["bytes"] or config["compression"] or config.get("encryption"):
+        raise UserError(
+            f"data.shards: got items of {config['data_format']}, expected plain bytes; do not use this corpus"
+        )
+    if config["item_loader"] != "PyTreeLoader":
+        raise UserError(f"data.shards: got item_loader {config['item_loader']!r}, expected PyTreeLoader")
+    for chunk in chunks:
+        name = chunk["filename"]
+        if not re.fullmatch(r"chunk-[\w.+-]+\.bin", name) or (folder and not (folder / name).is_file()):
+            raise UserError(
+                f"data.shards: the index names a chunk {name!r}, which is not there; write it again"
+            )
+
+
 def _prepare_litdata() -> None:
     require_extra("litdata", "shards")
     os.environ.setdefault(
@@ -161,19 +187,28 @@ class Shards:
         from litdata import StreamingDataset
 
         self.place = place
-        remote = {"cache_dir": cache, "max_cache_size": cache_size} if "://" in place else {}
+        remote = "://" in place
         if not remote and not (Path(place) / INDEX).is_file():
             raise UserError(
                 f"data.shards: got {place}, where there is no {INDEX}; expected a folder that "
                 "python -m imagination.render +shards=… wrote, or a URL of one"
             )
+        own = Path(cache) / hashlib.sha256(place.encode()).hexdigest()[:16]
         try:
-            self._items = StreamingDataset(str(place), **remote)
+            if remote:
+                self._items = StreamingDataset(place, cache_dir=str(own), max_cache_size=cache_size)
+                len(self._items)  # fetches the index
+            for index in own.rglob(INDEX) if remote else [Path(place) / INDEX]:
+                check_index(json.loads(index.read_text()), None if remote else Path(place))
+            if not remote:
+                self._items = StreamingDataset(place)
             about = json.loads(bytes(self._items[0]))
             self.group: int = int(about["group"])
             self.homes: dict[str, int] = {str(home): int(count) for home, count in about["homes"].items()}
             self.views: dict[str, Any] = about["views"]
-        except (RuntimeError, ValueError, KeyError, TypeError, OSError, AttributeError) as error:
+        except UserError:
+            raise
+        except (RuntimeError, ValueError, LookupError, TypeError, OSError, AttributeError) as error:
             raise UserError(f"data.shards: {place} cannot be read ({error}); write it again") from error
         self._first = dict(zip(self.homes, np.cumsum([1, *self.homes.values()]).tolist(), strict=False))
 

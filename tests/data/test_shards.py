@@ -93,6 +93,31 @@ def test_damage_and_absence_are_told(corpus: Path, tmp_path: Path) -> None:
     (tmp_path / INDEX).write_text("{}")
     with pytest.raises(UserError, match="cannot be read"):
         opened(tmp_path)
+    (tmp_path / INDEX).unlink()
+    with pytest.raises(UserError, match="there is no index.json"):
+        opened(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "told"),
+    [
+        ("data_format", ["pickle"], "expected plain bytes"),
+        ("item_loader", "TokensLoader", "expected PyTreeLoader"),
+    ],
+)
+def test_an_index_that_would_run_code_is_refused(
+    corpus: Path, tmp_path: Path, part: str, value: object, told: str
+) -> None:
+    for path in corpus.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    index = json.loads((tmp_path / INDEX).read_text())
+    (tmp_path / INDEX).write_text(json.dumps({**index, "config": {**index["config"], part: value}}))
+    with pytest.raises(UserError, match=told):
+        opened(tmp_path)
+    index["chunks"][1]["filename"] = "../chunk-a.bin"
+    (tmp_path / INDEX).write_text(json.dumps(index))
+    with pytest.raises(UserError, match="names a chunk"):
+        opened(tmp_path)
 
 
 def test_a_missing_extra_names_the_command(monkeypatch: pytest.MonkeyPatch, corpus: Path) -> None:

@@ -76,17 +76,24 @@ def configs() -> list[bytes]:
 
 def corpus(path: Path) -> object:
     """Open a corpus whose index is the file."""
-    from imagination.data.shards import INDEX, Shards
+    from imagination.data.shards import ABOUT, INDEX, Shards
 
     with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / ABOUT).write_bytes(described()[1])
         (Path(folder) / INDEX).write_bytes(path.read_bytes())
         return Shards(folder, folder, "1GB").homes
 
 
-def indices() -> list[bytes]:
-    entry = {"chunk_bytes": 54, "chunk_size": 1, "dim": None, "filename": "chunk-about.bin"}
-    config = {"compression": None, "chunk_size": 2, "data_format": ["bytes"], "item_loader": "PyTreeLoader"}
-    return [json.dumps({"chunks": [entry], "config": config}).encode()]
+@cache
+def described() -> tuple[bytes, bytes]:
+    """An index and its one chunk."""
+    from imagination.data.shards import ABOUT, _write_chunk
+
+    about = {"views": {}, "group": 2, "homes": {"train_0": 3}}
+    with tempfile.TemporaryDirectory() as folder:
+        written = _write_chunk(Path(folder) / ABOUT, [json.dumps(about).encode()])
+        index = {"chunks": [written["entry"]], "config": written["config"]}
+        return json.dumps(index).encode(), (Path(folder) / ABOUT).read_bytes()
 
 
 PARSERS = [
@@ -94,5 +101,5 @@ PARSERS = [
     Parser("checkpoint", lambda path: Checkpoint.read(path).config, checkpoints),
     Parser("cache", lambda path: decode(path.read_bytes()), entries, (DamagedError,)),
     Parser("cache-sealed", sealed, bodies, (DamagedError,)),
-    Parser("shards", corpus, indices),
+    Parser("shards", corpus, lambda: described()[:1]),
 ]
