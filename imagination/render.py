@@ -85,11 +85,11 @@ def write_corpus(config: DictConfig) -> None:
         left = [home for home in homes if not shards.written(folder, data.observer, home, recipe)]
         begin, failed = perf_counter(), []
         try:
-            tasks = {home: data.pool.submit(shards.write_home, home, folder, recipe) for home in left}
+            tasks = {home: data.pool.submit(shards.try_home, home, folder, recipe) for home in left}
             for home, task in progress(tasks.items(), f"views of homes ({split})", len(tasks)):
-                if (error := task.exception()) is not None:  # whatever a scene source may raise
+                if problem := task.result():
                     failed.append(home)
-                    log.error("%s is left out: %s: %s", home, type(error).__name__, error)
+                    log.error("%s is left out: %s", home, problem)
         finally:
             data.close()
         seconds = perf_counter() - begin

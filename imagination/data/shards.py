@@ -84,6 +84,17 @@ def write_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> 
     write_text(_record(folder, scene), json.dumps(record))
 
 
+def try_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> str:
+    """Write a home; what went wrong, or an empty string."""
+    try:
+        write_home(observer, scene, folder, recipe)
+    except (
+        Exception
+    ) as error:  # whatever a scene source may raise: the other homes of the corpus do not wait for it
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
 def write_index(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, Any]:
     """List everything written so far, for readers; returns the description.
 
