@@ -1,11 +1,11 @@
-# setup: the environment in .venv · train: the main job · test: lints, types, tests · slow, mutate: the long checks
+# setup: the environment in .venv · train: the main job · study: the paper's comparison · test: lints, types, tests · slow, mutate: the long checks
 # bench: how fast each part is · soak, fuzz: faults and foreign files
 VENV ?= .venv
 PYTHON ?= python3
 RUN := $(VENV)/bin/python
 ARGS ?= +experiment=chair_unet
 
-.PHONY: setup train test slow mutate bench soak fuzz
+.PHONY: setup train study test slow mutate bench soak fuzz
 
 setup: $(VENV)/.made
 
@@ -18,6 +18,9 @@ $(VENV)/.made: requirements.lock pyproject.toml
 
 train: setup
 	$(RUN) -m imagination.train $(ARGS)
+
+study: setup
+	$(RUN) -m imagination.study $(if $(filter command line,$(origin ARGS)),$(ARGS))
 
 test: setup
 	$(RUN) -m ruff check .

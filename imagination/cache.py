@@ -7,13 +7,16 @@ does not fit its checksum is made again. Nothing in a file is ever executed.
 """
 
 import errno
+import fcntl
 import functools
 import hashlib
 import json
 import logging
 import os
+import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from math import prod
@@ -23,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from imagination.errors import UserError
+from imagination.errors import UserError, check_range
 
 log = logging.getLogger(__name__)
 
@@ -31,6 +34,12 @@ Arrays = dict[str, np.ndarray]
 
 MAGIC = b"imagination cache 1\n"
 DIGEST = hashlib.sha256().digest_size
+
+ENTRY, PART = ".bin", ".part"
+"""Endings of entries and of files that are being written."""
+
+STALE_SECONDS = 60.0
+"""A part older than this that no process holds was left by one that was killed."""
 
 MAKERS = ("geometry", "scenes", "ground_truth", "views", "data", "evaluation")
 """Packages whose code makes the entries: a change in it leaves old entries aside, so none can be out of date."""
@@ -40,11 +49,24 @@ MAKERS = ("geometry", "scenes", "ground_truth", "views", "data", "evaluation")
 class Cache:
     """Entries in a folder; any number of processes may use it at once.
 
+    When a new entry makes the folder larger than its limit, those that were not used for longest are removed; a
+    process that still wants one makes it again. Opening it removes what killed processes left half-written.
+
     Attributes:
         folder: made when the first entry is stored.
+        max_gigabytes: limit of its size.
+
+    Raises:
+        UserError: if the limit is out of range.
     """
 
     folder: str | Path
+    max_gigabytes: float = 20.0
+
+    def __post_init__(self) -> None:
+        check_range("cache.max_gigabytes", self.max_gigabytes, 0.0, 1_000_000.0, "GB", open_low=True)
+        for part in Path(self.folder).glob(f"*/.*{PART}"):
+            _remove_if_stale(part)
 
     def get_or_build(self, kind: str, key: Mapping[str, Any], build: Callable[[], Arrays]) -> Arrays:
         """The entry of a key, made and stored if it is missing or damaged.
@@ -71,7 +93,7 @@ class Cache:
         """
         path = self.path(kind, key)
         try:
-            return decode(path.read_bytes())
+            arrays = decode(path.read_bytes())
         except FileNotFoundError:
             return None
         except OSError as error:
@@ -81,6 +103,9 @@ class Cache:
         except DamagedError:
             log.warning("cache: %s is damaged (its checksum does not fit); it is made again", path)
             return None
+        with suppress(OSError):  # removed meanwhile, or another user's
+            os.utime(path)  # its time says when it was last used
+        return arrays
 
     def store(self, kind: str, key: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """Store an entry; readers see the old one or the new one, never a part.
@@ -93,6 +118,7 @@ class Cache:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             _write(path, content)
+            self._make_room(path)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 advice = "the disk is full; free some space, or set paths.cache to a folder elsewhere"
@@ -104,14 +130,31 @@ class Cache:
         """File of the entry, whether it exists or not."""
         whole = {"code": code_version(), "key": key}
         text = json.dumps(whole, sort_keys=True, separators=(",", ":"), allow_nan=True)
-        return Path(self.folder) / kind / f"{hashlib.sha256(text.encode()).hexdigest()}.bin"
+        return Path(self.folder) / kind / f"{hashlib.sha256(text.encode()).hexdigest()}{ENTRY}"
+
+    def _make_room(self, newest: Path) -> None:
+        """Remove the entries that were not used for longest, but never the newest, until the rest fits."""
+        entries = []
+        for kind in os.scandir(self.folder):
+            for file in os.scandir(kind) if kind.is_dir() else ():
+                with suppress(FileNotFoundError):  # another process makes room as well
+                    status = file.stat()
+                    if file.name.endswith(ENTRY):
+                        entries.append((status.st_mtime_ns, status.st_size, file.path))
+        total = sum(size for _, size, _ in entries)
+        for _, size, path in sorted(entries):
+            if total <= self.max_gigabytes * 1e9:
+                return
+            if path != str(newest):
+                Path(path).unlink(missing_ok=True)
+                total -= size
 
 
 @functools.cache
-def code_version() -> str:
-    """Hash of the code that makes entries, and of the library that casts its rays."""
+def code_version(packages: tuple[str, ...] = MAKERS) -> str:
+    """Hash of the code that makes entries, or of other packages', and of the library that casts its rays."""
     digest = hashlib.sha256(version("embreex").encode())
-    for package in MAKERS:
+    for package in packages:
         for path in sorted((Path(__file__).parent / package).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -122,7 +165,8 @@ class DamagedError(Exception):
 
 
 def _write(path: Path, content: bytes) -> None:
-    with NamedTemporaryFile(dir=path.parent, prefix=".", suffix=".part", delete=False) as file:
+    with NamedTemporaryFile(dir=path.parent, prefix=".", suffix=PART, delete=False) as file:
+        fcntl.flock(file, fcntl.LOCK_SH)  # says that it is in work
         try:
             file.write(content)
             file.flush()
@@ -130,6 +174,14 @@ def _write(path: Path, content: bytes) -> None:
         except BaseException:  # an interrupt as well: nothing half-written stays behind
             os.unlink(file.name)
             raise
+
+
+def _remove_if_stale(part: Path) -> None:
+    with suppress(FileNotFoundError, BlockingIOError, PermissionError), open(part, "rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # one that was just made may not have been locked yet
+        if time.time() - os.fstat(file.fileno()).st_mtime > STALE_SECONDS:
+            part.unlink()
 
 
 def encode(arrays: Mapping[str, np.ndarray]) -> bytes:

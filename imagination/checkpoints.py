@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from imagination.config import compose
 from imagination.errors import UserError
-from imagination.runs import replacing
+from imagination.runs import LAST, replacing
 
 KEY = "imagination"
 """Our entry in the dictionary that Lightning saves."""
@@ -123,24 +123,49 @@ class Checkpoint:
         merged: dict[str, Any] = _with_values(OmegaConf.to_container(composed, resolve=True), values)
         return OmegaConf.create(merged)
 
-    def require(self, categories: list[str], config: DictConfig) -> None:
-        """Check that the checkpoint is of a unit for these categories, and for the camera and maps of a config.
+    @property
+    def categories(self) -> list[str]:
+        """What it predicts."""
+        return list(self.config.unit_categories)
+
+    @property
+    def predicts(self) -> str:
+        """Egocentric "maps", or first-person "images"."""
+        return str(self.config.model.predicts)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What `TrainingRecord` counted, of the whole run where its last checkpoint lies beside; empty without it.
+
+        Beside it `flat`, whether the training ended because its score was flat (`UntilFlat`).
+        """
+        last = self.path.with_name(LAST.name)
+        callbacks = (read_state(last) if last.is_file() else self.state).get("callbacks", {})
+        counts: dict[str, Any] = callbacks.get("TrainingRecord", {})
+        return counts and {**counts, "flat": callbacks.get("UntilFlat", {}).get("flat", False)}
+
+    def require(self, config: DictConfig, whose: str = "the evaluation") -> None:
+        """Check that the checkpoint was trained for the camera and the maps of a config.
+
+        Args:
+            config: of the evaluation, or of another checkpoint.
+            whose: it is, for the message.
 
         Raises:
-            UserError: if it is not.
+            UserError: if it was not, with both.
         """
         values, asked = self.state[KEY]["values"], plain_values(config)
-        has = list(values["unit_categories"]), float(values["ego"]["resolution"])
-        if has != (list(categories), float(asked["ego"]["resolution"])):
+        has, wanted = (float(tree["ego"]["resolution"]) for tree in (values, asked))
+        if has != wanted:
             raise UserError(
-                f"checkpoint {self.path}: is of {', '.join(has[0])} at {has[1]} m a cell, but the evaluation asks for "
-                f"{', '.join(categories)} at {asked['ego']['resolution']} m; choose another checkpoint, or leave out "
-                "what overrides them"
+                f"checkpoint {self.path}: is of {', '.join(self.categories)} at {has} m a cell, but {whose} asks for "
+                f"{', '.join(asked['unit_categories'])} at {wanted} m; choose another checkpoint, or leave out what "
+                "overrides them"
             )
         for node in ("camera", "ego"):
             if values[node] != asked[node]:
                 raise UserError(
-                    f"checkpoint {self.path}: was trained with the {node} {values[node]}, but the evaluation asks for "
+                    f"checkpoint {self.path}: was trained with the {node} {values[node]}, but {whose} asks for "
                     f"{asked[node]}; choose another checkpoint, or leave out what overrides it"
                 )
 

@@ -13,9 +13,11 @@ from typing import Any
 import hydra
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
+from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -31,6 +33,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "kernels.neighbourhood": (0.005, 10.0, "m"),
     "kernels.truth": (0.005, 10.0, "m"),
     "robot.radius": (0.0, 2.0, "m"),
+    "cache.max_gigabytes": (0.001, 1_000_000.0, "GB"),
     "scale.resolution": (0.005, 1.0, "m"),
     "scale.ego_extent": (0.5, 100.0, "m"),
     "scale.world_extent": (1.0, 10_000.0, "m"),
@@ -42,6 +45,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.held_out_views.val": (1, 10_000_000, "views"),
     "scale.held_out_views.test": (1, 10_000_000, "views"),
     "scale.parallel_scenes": (1, 4096, "scenes"),
+    "scale.balanced_share": (0.0, 1.0, ""),
     "scale.update_interval": (1, 10_000, "collection steps"),
     "scale.update_batches": (1, 100_000, "batches"),
     "scale.buffer_size": (1, 10_000_000, "views"),
@@ -54,8 +58,13 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.learning_rate": (0.0, 10.0, ""),
     "scale.final_learning_rate": (0.0, 10.0, ""),
     "scale.unit_width": (1, 1024, "channels"),
+    "scale.height_jitter": (0.0, 0.5, ""),
+    "scale.mirrored_share": (0.0, 1.0, ""),
+    "scale.encoder_shrink": (1, 64, ""),
     "scale.viewpoint_sets": (1, 10_000, ""),
     "scale.orientations": (1, 1000, ""),
+    "scale.hrnet_rounds": (1, 10**9, "rounds"),
+    "scale.hrnet_eval_every": (1, 1_000_000, "rounds"),
     "scale.workers": (0, 1024, "processes"),
     "trainer.max_epochs": (1, 10**9, "rounds"),
     "trainer.devices": (1, 1024, "devices"),
@@ -63,7 +72,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
 }
 """What is checked before anything is built; builders check what they get as well. Whole bounds mean whole numbers."""
 
-EXTRAS: Mapping[str, str] = {"hydra/launcher/joblib": "joblib"}
+EXTRAS: Mapping[str, str] = {"hydra/launcher/joblib": "joblib", "hydra/sweeper/optuna": "optuna"}
 """Options that come with an extra of the project."""
 
 CELL_WIDTH = (0.1, 100.0, "m")
@@ -82,7 +91,8 @@ TRUSTED = (
 RESOLVER = re.compile(r"\$\{[\w.]+:")
 """A call inside a value, such as ${oc.decode:…}, which could make a target out of text."""
 
-Task = Callable[[DictConfig], None]
+Task = Callable[[DictConfig], float | None]
+"""What a command does; a figure that it returns is what a search maximises."""
 
 
 class _SearchPath(SearchPathPlugin):
@@ -93,18 +103,24 @@ class _SearchPath(SearchPathPlugin):
             search_path.append(provider=f"plugin {plugin.name}", path=f"file://{plugin.conf}")
 
 
-def command(config_name: str) -> Callable[[Task], Callable[[], None]]:
+def command(config_name: str, check: Task | None = None) -> Callable[[Task], Callable[[], None]]:
     """Make a function of a config into a command that composes conf/<config_name>.yaml from the command line.
 
+    `check` looks at the config before anything is built; `validate` if None.
     Mistakes of the user are told in one message with exit code 2; anything else shows its traceback.
     """
 
     def decorate(task: Task) -> Callable[[], None]:
         @wraps(task)
-        def checked(config: DictConfig) -> None:
+        def checked(config: DictConfig) -> float | None:
+            if HydraConfig.get().mode == RunMode.MULTIRUN:
+                from imagination.sweep import run_member  # which imports this module
+
+                return run_member(task, config)
             with mistakes_told():
-                validate(config)
-                task(config)
+                (check or validate)(config)
+                return task(config)
+            raise AssertionError("unreachable: mistakes end the program")
 
         def main() -> None:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then passes errors on instead of ending the program
@@ -130,6 +146,9 @@ def mistakes_told() -> Iterator[None]:
     """
     try:
         yield
+    except KeyboardInterrupt:  # before a command has anything that could go on
+        print("Interrupted", file=sys.stderr)
+        sys.exit(130)
     except Exception as error:
         if (message := explain(error)) is None:
             raise

@@ -10,10 +10,9 @@ import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -23,7 +22,6 @@ from imagination.errors import UserError
 
 if TYPE_CHECKING:
     from imagination.checkpoints import Checkpoint
-    from imagination.evaluation.prediction import Model
     from imagination.evaluation.protocol import MappingProtocol
 
 log = logging.getLogger(__name__)
@@ -38,11 +36,12 @@ def main(config: DictConfig) -> None:
         )
     from imagination.checkpoints import Checkpoint  # with it comes torch, which --help does without
 
+    member = None if OmegaConf.is_missing(config.paths, "run") else Path(config.paths.run)
     paths = [config.ckpt] if isinstance(config.ckpt, str) else list(config.ckpt)
     checkpoints = [Checkpoint.read(path) for path in paths]
     config = configured(checkpoints, list(HydraConfig.get().overrides.task))
     protocol = instantiate(config.evaluation)  # refuses what is out of range before anything is written
-    folder = new_folder(config)
+    folder = new_folder(config, member)
     config.paths.run = str(folder)
     with runs.logging_to(folder / "run.log"):
         runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
@@ -50,25 +49,37 @@ def main(config: DictConfig) -> None:
             evaluate(config, protocol, checkpoints, folder)
         except KeyboardInterrupt:
             log.warning(
-                "Interrupted; %s holds no complete result. Views rendered so far stay in the cache.", folder
+                "Interrupted; %s holds no complete result. Runs that are done stay in the cache: the same command "
+                "goes on from there.",
+                folder,
             )
             sys.exit(130)
-        log.info("Results: %s/ (tables/, figures/)", folder)
+        log.info("Results: %s/ (tables/, figures/, maps/)", folder)
 
 
 def evaluate(
     config: DictConfig, protocol: MappingProtocol, checkpoints: Sequence[Checkpoint], folder: Path
 ) -> None:
-    """Load the units, look at the homes, write tables and figures."""
+    """Load the networks, look at the homes, write tables, figures and maps."""
     import torch
 
+    from imagination.baselines.ade20k import PublicHRNet
     from imagination.evaluation import results
+    from imagination.evaluation.training_table import training_rows
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    models = [cast("Model", checkpoint.model().to(device)) for checkpoint in checkpoints]
     data = instantiate(config.data.module)
+    networks: list[Any] = [checkpoint.model() for checkpoint in checkpoints]
+    if config.ade20k:
+        networks.append(PublicHRNet.load(Path(config.ade20k), data.observer.categories, data.observer.camera))
     try:
-        results.evaluate(protocol, data, models, folder)
+        results.evaluate(
+            protocol,
+            data,
+            [network.to(device) for network in networks],
+            folder,
+            lambda report: training_rows(checkpoints, report),
+        )
     finally:
         data.close()
 
@@ -77,26 +88,62 @@ def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictC
     """The config of the evaluation: the first checkpoint's, with the categories of all, then the command line's.
 
     Raises:
-        UserError: if a checkpoint is of other categories or another resolution than that asks for.
+        UserError: if two checkpoints give the same category, or one is of other categories, another resolution or
+            another camera than the others or the command line ask for.
     """
     from imagination.checkpoints import KEY
 
-    held = [list(checkpoint.config.unit_categories) for checkpoint in checkpoints]
-    every = [name for names in held for name in names]
-    if len(set(every)) < len(every):
-        raise UserError(f"ckpt: got checkpoints of {', '.join(every)}, expected each category once")
-    categories = f"unit_categories={json.dumps(every)}"
+    by_kind = {kind: [one for one in checkpoints if one.predicts == kind] for kind in ("maps", "images")}
+    for of_kind in by_kind.values():
+        _refuse_twice(of_kind)
+    for other in checkpoints[1:]:
+        other.require(checkpoints[0].config, f"checkpoint {checkpoints[0].path}")
+    every = [name for one in by_kind["maps"] or by_kind["images"] for name in one.categories]
     given = {_key(text) for text in overrides}
     inherited = [text for text in checkpoints[0].state[KEY]["choices"] if _key(text) not in given]
-    config = compose("evaluate", [*inherited, categories, "paths.run=.", *overrides])
+    config = compose(
+        "evaluate", [*inherited, f"unit_categories={json.dumps(every)}", "paths.run=.", *overrides]
+    )
     validate(config)
-    asked, start = list(config.unit_categories), 0
-    for checkpoint, names in zip(checkpoints, held, strict=True):
-        # with one checkpoint it must be of everything asked for, with several each of its part
-        part = asked if len(checkpoints) == 1 else asked[start : start + len(names)]
-        checkpoint.require(part, config)
-        start += len(names)
+    for of_kind in filter(None, by_kind.values()):
+        _refuse_missing(of_kind, config)
+    for checkpoint in checkpoints:
+        checkpoint.require(config)
+    if by_kind["images"] and config.ade20k:
+        raise UserError(
+            f"ade20k: got {config.ade20k} beside checkpoint {by_kind['images'][0].path}, expected one segmentation "
+            "network; leave one of them out"
+        )
     return config
+
+
+def _refuse_twice(checkpoints: Sequence[Checkpoint]) -> None:
+    """Refuse checkpoints of one kind that give the same category."""
+    givers: dict[str, Checkpoint] = {}
+    for checkpoint in checkpoints:
+        for name in checkpoint.categories:
+            other = givers.setdefault(name, checkpoint)
+            if other is not checkpoint:
+                raise UserError(
+                    f"ckpt: got {other.path} and {checkpoint.path}, which both give {name}, expected each category "
+                    "once; leave one of them out"
+                )
+
+
+def _refuse_missing(checkpoints: Sequence[Checkpoint], config: DictConfig) -> None:
+    """Refuse to evaluate a category that no checkpoint of a kind gives."""
+    missing = [
+        name for name in config.unit_categories if not any(name in one.categories for one in checkpoints)
+    ]
+    if missing:
+        held = "; ".join(
+            f"checkpoint {one.path}: is of {', '.join(one.categories)} at {one.config.ego.resolution} m a cell"
+            for one in checkpoints
+        )
+        raise UserError(
+            f"{held}, but the evaluation asks for {', '.join(config.unit_categories)}; add a checkpoint of "
+            f"{', '.join(missing)}, or leave out what overrides unit_categories"
+        )
 
 
 def _key(override: str) -> str:
@@ -104,13 +151,14 @@ def _key(override: str) -> str:
     return override.lstrip("+~").partition("=")[0]
 
 
-def new_folder(config: DictConfig) -> Path:
-    """A folder for the results: outputs/<name>/evaluate_<date_time>, or a numbered one in that of the sweep."""
-    hydra = HydraConfig.get()
-    parent = Path(config.paths.outputs) / config.name
-    if hydra.mode == RunMode.MULTIRUN:
-        return runs.create_folder(parent / Path(hydra.sweep.dir).name, str(hydra.job.num))
-    return runs.create_folder(parent, f"evaluate_{runs.now()}")
+def new_folder(config: DictConfig, member: Path | None) -> Path:
+    """A folder for the results: outputs/<name>/evaluate_<date_time>, or that of a sweep's member."""
+    if member is None:
+        return runs.create_folder(Path(config.paths.outputs) / config.name, f"evaluate_{runs.now()}")
+    with runs.write_errors_told(member):
+        member.mkdir(parents=True, exist_ok=True)
+    runs.remove_parts(member)  # of an evaluation that was killed
+    return member
 
 
 if __name__ == "__main__":

@@ -73,6 +73,10 @@ class Shares:
     """Seconds spent in each named stage; a stage inside another counts for itself alone."""
 
     def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Count anew, for a run that is not the first of its process."""
         self.seconds: dict[str, float] = {}
         self._open: list[str] = []
         self._began = self._since = time.monotonic()
@@ -89,7 +93,7 @@ class Shares:
             self._open.pop()
 
     def report(self) -> dict[str, float]:
-        """Seconds of each stage, of everything else ("rest") and of all since the program began ("total")."""
+        """Seconds of each stage, of everything else ("rest") and of all since the run began ("total")."""
         total = time.monotonic() - self._began
         return {**self.seconds, "rest": total - sum(self.seconds.values()), "total": total}
 

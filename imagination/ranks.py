@@ -50,7 +50,7 @@ def begun_elsewhere(items: list[T]) -> list[T]:
 def agree(folder: Path | None = None) -> Path:
     """The run's folder: the first process names it, the others learn it and wait until then."""
     if "TORCHELASTIC_RUN_ID" in os.environ:  # torchrun, whose agent keeps a store for all
-        from torch.distributed import rendezvous
+        from torch.distributed.rendezvous import rendezvous
 
         store, _, _ = next(iter(rendezvous("env://")))
         if folder is not None:

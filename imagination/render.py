@@ -1,6 +1,7 @@
 """Ground truth of a scene as arrays and pictures: `python -m imagination.render scene=test_0000`."""
 
 import logging
+import sys
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple, cast
@@ -20,7 +21,7 @@ from imagination.ground_truth.label import imaginable_mask, label, neighbourhood
 from imagination.ground_truth.maps import GroundTruth
 from imagination.ground_truth.pictures import Look
 from imagination.progress import progress
-from imagination.scenes.renderer import Renderer
+from imagination.scenes.renderer import SceneRenderer, renderer_of
 from imagination.scenes.scene import SPLITS, Scene, Split
 from imagination.views.poses import sample_poses
 from imagination.views.view import Observer, View
@@ -46,6 +47,15 @@ def main(config: DictConfig) -> None:
     split = cast(Split, check_choice("split", config.split, SPLITS))
     name = config.scene or observer.source.scenes(split)[0]
     folder = Path(config.folder) / name
+    try:
+        draw(config, observer, name, folder)
+    except KeyboardInterrupt:
+        print(f"Interrupted; not all files of {folder}/ are written. Start again.", file=sys.stderr)
+        sys.exit(130)
+
+
+def draw(config: DictConfig, observer: Observer, name: str, folder: Path) -> None:
+    """Write everything about one scene."""
     scene, truth = observer.scene(name), observer.truth(name)
     folder.mkdir(parents=True, exist_ok=True)
     with runs.logging_to(folder / "render.log"):
@@ -138,7 +148,7 @@ def choose_looks(observer: Observer, name: str, poses: int, seed: int, kernels: 
     sizes = np.array(
         [label(view.object, view.seen[None], kernels.imaginable).sum(axis=(1, 2)) for view in views]
     )
-    renderer = Renderer(scene.mesh, scene.lighting)
+    renderer = renderer_of(scene)
     looks = []
     for layer in range(len(observer.categories)):
         best = int(sizes[:, layer].argmax())
@@ -148,7 +158,7 @@ def choose_looks(observer: Observer, name: str, poses: int, seed: int, kernels: 
 
 
 def develop(
-    view: View, layer: int, observer: Observer, renderer: Renderer, floor: float, kernels: Kernels
+    view: View, layer: int, observer: Observer, renderer: SceneRenderer, floor: float, kernels: Kernels
 ) -> Look:
     """Everything that becomes of a view for one category."""
     objects = view.object[layer]

@@ -4,7 +4,7 @@ import logging
 import re
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from imagination import runs
-from imagination.config import check_targets, validate
+from imagination.config import check_targets, explain, validate
 from imagination.errors import UserError
 from imagination.progress import console
 from imagination.ranks import agree, end_with_starter, lost_another, rank
@@ -27,8 +27,15 @@ log = logging.getLogger(__name__)
 MAY_CHANGE = ("trainer.max_epochs", "trainer.accelerator", "trainer.devices", "paths.")
 """What may be overridden when a run goes on; all else is the run's own."""
 
-WHERE_AND_HOW = ("paths", "cache", "callbacks", "trainer", "logger", "ckpt_path", "resume", "hydra")
+WHERE_AND_HOW = (
+    *("paths", "cache", "callbacks", "trainer", "logger", "ckpt_path", "resume", "hydra"),
+    *("sweep", "sweep_dir", "hparams_search"),
+)
 """Nodes that say where and how a run runs, not what it trains: a checkpoint leaves overrides of them out."""
+
+
+END = "...\n"
+"""Last line of a run's composed config, YAML's mark of a document's end: without it the file was cut."""
 
 
 class Run(NamedTuple):
@@ -38,11 +45,13 @@ class Run(NamedTuple):
         folder: its own.
         config: composed, with `paths.run` set.
         checkpoint: to go on from; None to begin.
+        before: name of the folder that `latest` pointed to before this run began.
     """
 
     folder: Path
     config: DictConfig
     checkpoint: Path | None
+    before: str | None = None
 
 
 @contextmanager
@@ -52,6 +61,7 @@ def opened(config: DictConfig) -> Iterator[Run]:
     Raises:
         UserError: if there is nothing to go on with, or it may not be changed like this.
     """
+    again = config.resume or config.ckpt_path
     if rank():
         run = _joined(config)
         try:
@@ -61,22 +71,30 @@ def opened(config: DictConfig) -> Iterator[Run]:
                 raise _alone(run.folder) from error
             raise
         return
-    folder = _existing(config) if config.resume or config.ckpt_path else _new(config)
+    folder = _existing(config) if again else _new(config)
     agree(folder)
     with runs.locked(folder), runs.logging_to(folder / "run.log"):
-        run = _go_on(folder, config) if config.resume or config.ckpt_path else _begin(folder, config)
+        if again:
+            _check_changes(config)
+        going_on = again or (folder / runs.COMPOSED).is_file()  # of a sweep's member that has not ended
+        runs.remove_parts(folder)
+        run = _go_on(folder, config) if going_on else _begin(folder, config)
         try:
             yield run
         except Exception as error:
             log.error("The run failed", exc_info=True, extra=runs.FILE_ONLY)
             if "torch" in sys.modules and lost_another(error):
                 raise _alone(folder) from error
+            if explain(error) and not (folder / runs.LAST).is_file():  # refused: nothing to go on with
+                runs.take_back_latest(folder, run.before)
             raise
         except (KeyboardInterrupt, SystemExit) as stop:
             if not _pressed(stop):
                 raise
             last = folder / runs.LAST
-            if last.is_file():
+            if HydraConfig.get().mode == RunMode.MULTIRUN:
+                log.warning("Interrupted")
+            elif last.is_file():
                 log.warning("Interrupted. Go on with: python -m imagination.train ckpt_path=%s", last)
             else:
                 log.warning("Interrupted before a round was finished; start again with the same arguments")
@@ -93,6 +111,7 @@ def _joined(config: DictConfig) -> Run:
     if config.resume or config.ckpt_path:
         return _go_on(folder, config)
     config.paths.run = str(folder)
+    config.choices = choices(HydraConfig.get().overrides.task)
     return Run(folder, config, None)
 
 
@@ -104,33 +123,35 @@ def _alone(folder: Path) -> UserError:
 
 
 def _new(config: DictConfig) -> Path:
-    """A new run's folder: of a sweep's member inside the sweep's, else outputs/<name>/<date_time>."""
-    config.paths.run = "."
+    """A new run's folder, outputs/<name>/<date_time>; that of a sweep's member is given, and may be there already."""
+    member = HydraConfig.get().mode == RunMode.MULTIRUN
+    config.paths.run = config.paths.run if member else "."
     OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # fails before there is a folder
-    hydra = HydraConfig.get()
-    if hydra.mode == RunMode.MULTIRUN:
-        return runs.create_folder(Path(hydra.sweep.dir), str(hydra.job.num))
+    if member:
+        folder = Path(config.paths.run)
+        with runs.write_errors_told(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        return folder
     return runs.create_folder(Path(config.paths.outputs) / config.name, runs.now())
 
 
 def _begin(folder: Path, config: DictConfig) -> Run:
     config.paths.run = str(folder)
-    config.choices = choices()
-    runs.write_text(folder / runs.COMPOSED, OmegaConf.to_yaml(config))
+    config.choices = choices(HydraConfig.get().overrides.task)
+    runs.write_text(folder / runs.COMPOSED, OmegaConf.to_yaml(config) + END)
     runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
-    if HydraConfig.get().mode != RunMode.MULTIRUN:
-        runs.point_latest(folder)
-    return Run(folder, config, None)
+    alone = HydraConfig.get().mode != RunMode.MULTIRUN
+    return Run(folder, config, None, runs.point_latest(folder) if alone else None)
 
 
-def choices() -> list[str]:
-    """The overrides of this command line that say what is trained, e.g. "+experiment=chair_unet" or "seed=3"."""
+def choices(overrides: Sequence[str]) -> list[str]:
+    """Those overrides that say what is trained, e.g. "+experiment=chair_unet" or "seed=3"."""
 
     def kept(text: str) -> bool:
         top = re.split("[=@./]", text.lstrip("+~"))[0]
         return top not in WHERE_AND_HOW and "_target_" not in text and "${" not in text
 
-    return [text for text in HydraConfig.get().overrides.task if kept(text)]
+    return [text for text in overrides if kept(text)]
 
 
 def _existing(config: DictConfig) -> Path:
@@ -152,8 +173,8 @@ def _existing(config: DictConfig) -> Path:
     return runs.find_latest(Path(config.paths.outputs), experiment)
 
 
-def _go_on(folder: Path, config: DictConfig) -> Run:
-    """The run in `folder` with its own config, and what may be changed of it."""
+def _check_changes(config: DictConfig) -> None:
+    """Refuse overrides that would make another run of one that goes on."""
     overrides = list(HydraConfig.get().overrides.task)
     allowed = ("resume=", "ckpt_path=", "experiment=", *MAY_CHANGE)
     if refused := [text for text in overrides if not text.lstrip("+").startswith(allowed)]:
@@ -161,11 +182,16 @@ def _go_on(folder: Path, config: DictConfig) -> Run:
             f"resume: got {' '.join(refused)}, but a run goes on with its own config; only "
             f"{', '.join(MAY_CHANGE)} may change"
         )
+
+
+def _go_on(folder: Path, config: DictConfig) -> Run:
+    """The run in `folder` with its own config, and what may be changed of it."""
     saved = _read(folder / runs.COMPOSED)
     if "experiment" in HydraConfig.get().runtime.choices and config.name != saved.name:
         raise UserError(
             f"resume: got the experiment {config.name!r}, but the run in {folder} is of {saved.name!r}"
         )
+    overrides = HydraConfig.get().overrides.task
     changes = [text.lstrip("+") for text in overrides if text.lstrip("+").startswith(MAY_CHANGE)]
     for key in (text.partition("=")[0] for text in changes):
         OmegaConf.update(saved, key, OmegaConf.select(config, key))
@@ -173,14 +199,19 @@ def _go_on(folder: Path, config: DictConfig) -> Run:
     checkpoint = Path(config.ckpt_path) if config.ckpt_path else folder / runs.LAST
     if not checkpoint.is_file():
         log.warning("%s: no round was finished, so the run begins anew with its own config", folder)
-        return Run(folder, saved, None)
-    return Run(folder, saved, checkpoint)
+        return Run(folder, saved, None, folder.name)
+    return Run(folder, saved, checkpoint, folder.name)
 
 
 def _read(path: Path) -> DictConfig:
     """A run's composed config, checked."""
     try:
-        saved = OmegaConf.load(path)
+        text = path.read_text()
+        if not text.endswith(END):
+            raise UserError(
+                f"config {path}: is truncated, its last line is not {END.strip()!r}; start a new run"
+            )
+        saved = OmegaConf.create(text)
         assert isinstance(saved, DictConfig)
         OmegaConf.set_struct(saved, True)
         validate(saved)

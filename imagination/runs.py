@@ -4,7 +4,9 @@ import fcntl
 import logging
 import os
 import re
+import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -28,6 +30,9 @@ BEST = Path("checkpoints") / "best.ckpt"
 
 FILE_ONLY = {"file_only": True}
 """`extra` of a message for the log file alone."""
+
+PART = ".part"
+"""Ending of temporary names."""
 
 STAMP = "%Y-%m-%d_%H-%M-%S"
 
@@ -59,10 +64,27 @@ def create_folder(parent: Path, name: str) -> Path:
     raise AssertionError("unreachable: count() has no end")
 
 
-def point_latest(folder: Path) -> None:
-    """Let `latest` beside a run folder point to it, in one step."""
-    with replacing(folder.parent / "latest") as temporary:
+def point_latest(folder: Path) -> str | None:
+    """Let `latest` beside a run folder point to it, in one step; the name of the folder it pointed to before."""
+    link = folder.parent / "latest"
+    before = link.readlink().name if link.is_symlink() else None
+    for scratch in link.parent.glob(f".{link.name}.*{PART}"):  # a process was killed in the moment that this takes
+        if time.time() - scratch.lstat().st_mtime > 60:
+            shutil.rmtree(scratch, ignore_errors=True)
+    with replacing(link) as temporary:
         temporary.symlink_to(folder.name)
+    return before
+
+
+def take_back_latest(folder: Path, before: str | None) -> None:
+    """Let `latest` point to where it did before, unless another run has taken it since."""
+    link = folder.parent / "latest"
+    if not link.is_symlink() or link.readlink().name != folder.name:
+        return
+    if before is None:
+        link.unlink()
+    else:
+        point_latest(folder.parent / before)
 
 
 def find_latest(outputs: Path, name: str | None) -> Path:
@@ -87,18 +109,22 @@ def within(folder: Path) -> Path:
     return folder.relative_to(here) if folder.is_relative_to(here) else folder
 
 
+class BusyError(UserError):
+    """Another process holds a lock."""
+
+
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold a run folder; the lock goes with the process, however it ends.
+def locked(folder: Path, name: str = ".lock") -> Iterator[None]:
+    """Hold a run folder, by a file in it; the lock goes with the process, however it ends.
 
     Raises:
-        UserError: if another process holds it.
+        BusyError: if another process holds it.
     """
-    with open(folder / ".lock", "a") as file:
+    with open(folder / name, "a") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise UserError(
+            raise BusyError(
                 f"run {folder}: another process is working on it; wait for it or stop it"
             ) from error
         yield
@@ -113,7 +139,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     with write_errors_told(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PART, dir=path.parent))
         temporary = scratch / path.name
         try:
             yield temporary
@@ -138,6 +164,12 @@ def write_errors_told(path: Path) -> Iterator[None]:
             f"could not write {path}: {error.strerror}; free some space or set paths.outputs and paths.cache to "
             "another place; a run that was under way goes on with resume=latest"
         ) from error
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove what a killed process left half-written in a run folder, which the caller holds."""
+    for scratch in list(folder.rglob(f".*{PART}")):
+        shutil.rmtree(scratch)
 
 
 def write_text(path: Path, text: str) -> None:

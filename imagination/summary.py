@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import resource
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
@@ -19,34 +20,64 @@ if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does wit
 REGIONS = {"all": "", "seen": "_seen", "unseen": "_unseen"}
 """Cells of the egocentric map, and the ending of their scores' names."""
 
+SETTINGS = ("name", "seed", "unit_categories", "scale", "kernels", "aggregation_factor", "model", "mapping")
+"""Nodes of the config that TensorBoard shows as hyperparameters."""
+
 
 def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
-    """Show the run's settings beside its final figures in TensorBoard."""
+    """Show the run's settings beside its final figures in TensorBoard's HParams tab."""
+    from lightning.pytorch.loggers import TensorBoardLogger
+    from torch.utils.tensorboard import SummaryWriter
+    from torch.utils.tensorboard.summary import hparams
+
     from imagination.checkpoints import plain_values
 
     values = plain_values(config)
-    nodes = ("name", "seed", "unit_categories", "scale", "kernels", "aggregation_factor", "model", "mapping")
-    figures = {name: float(value) for name, value in trainer.callback_metrics.items()}
-    if trainer.logger is not None:
-        trainer.logger.log_hyperparams({node: values[node] for node in nodes}, figures)
-        trainer.logger.save()
+    settings = {key: value for node in SETTINGS for key, value in _flat(node, values[node])}
+    figures = {
+        name: float(value)
+        for name, value in trainer.callback_metrics.items()
+        if name.startswith(("test/", "global/"))
+    }
+    for logger in trainer.loggers:
+        # its own log_hyperparams would log the figures a second time
+        if isinstance(logger, TensorBoardLogger):
+            with SummaryWriter(logger.log_dir) as writer:
+                for part in hparams(settings, figures):  # type: ignore[no-untyped-call]
+                    writer.file_writer.add_summary(part)
 
 
-def egocentric(run: Run, trainer: Trainer) -> str:
-    """Write tables/ego.csv, the scores of single views of test homes, and tell them with what was trained on."""
+def _flat(name: str, node: Any) -> Iterator[tuple[str, Any]]:
+    """Names and values of a tree's leaves; lists count as text."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield from _flat(f"{name}.{key}", value)
+    else:
+        yield name, str(node) if isinstance(node, list) else node
+
+
+def single_views(run: Run, trainer: Trainer) -> str:
+    """Write the scores of single views of test homes, and tell them with what was trained on.
+
+    A unit's are those of its egocentric maps, tables/ego.csv; a segmentation network's those of its images,
+    tables/first_person.csv.
+    """
     scores = {name: float(value) for name, value in trainer.callback_metrics.items()}
-    lines = ["cells,iou,precision,recall"]
-    for cells, ending in REGIONS.items():
-        lines.append(
-            ",".join(
-                [cells, *(f"{scores[f'test/{of}{ending}']:.4f}" for of in ("iou", "precision", "recall"))]
-            )
+    if "test/iou_seen" in scores:
+        what, file, header, parts = "Egocentric", "ego", "cells", REGIONS
+        told = ", ".join(
+            f"{scores[f'test/iou{ending}']:.3f} over {cells} cells" for cells, ending in parts.items()
         )
-    runs.write_text(run.folder / "tables" / "ego.csv", "\n".join(lines) + "\n")
-    ious = ", ".join(
-        f"{scores[f'test/iou{ending}']:.3f} over {cells} cells" for cells, ending in REGIONS.items()
-    )
-    told = f"Egocentric IoU on views of unseen homes: {ious} (tables/ego.csv)"
+    else:
+        what, file, header = "First-person", "first_person", "category"
+        parts = {"mean": ""} | {name: f"_{name}" for name in run.config.unit_categories}
+        told = ", ".join(f"{name} {scores[f'test/iou{ending}']:.3f}" for name, ending in parts.items())
+    lines = [f"{header},iou,precision,recall"]
+    for name, ending in parts.items():
+        values = (f"{scores[f'test/{of}{ending}']:.4f}" for of in ("iou", "precision", "recall"))
+        lines.append(",".join([name, *values]))
+    runs.write_text(run.folder / "tables" / f"{file}.csv", "\n".join(lines) + "\n")
+    told = f"{what} IoU on views of unseen homes: {told} (tables/{file}.csv)"
     if "data/collected_views" in scores:  # not when a finished run is only tested again
         views, draws = scores["data/collected_views"], scores["data/draws_per_view"]
         told += f"\nTrained on {views * draws:.0f} samples of {views:.0f} distinct views, {draws:.1f} draws a view"
@@ -60,7 +91,7 @@ def summary(run: Run, checkpoint: Path | None) -> str:
         f"{name} {value:.0f} s ({value / seconds['total']:.0%})" for name, value in seconds.items()
     )
     lines = [f"Time: {parts}", f"Peak memory: at most {peak_memory(run.config.scale.workers):.1f} GB"]
-    lines.append(f"Results: {run.folder}/ (tables/, figures/, checkpoints/, tensorboard/)")
+    lines.append(f"Results: {run.folder}/ (tables/, figures/, maps/, checkpoints/, tensorboard/)")
     kept = checkpoint or run.folder / runs.LAST
     if kept.is_file():
         lines.append(f"Evaluate again: python -m imagination.evaluate ckpt={kept}")

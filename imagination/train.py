@@ -17,7 +17,7 @@ from imagination.config import command
 from imagination.errors import UserError, check_choice
 from imagination.progress import stage
 from imagination.resume import Run, opened
-from imagination.summary import egocentric, record_hyperparameters, summary
+from imagination.summary import record_hyperparameters, single_views, summary
 
 if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does without
     from lightning import LightningModule, Trainer
@@ -32,18 +32,19 @@ PRECISIONS = ("auto", "32-true", "64-true", "bf16-mixed", "bf16-true", "16-mixed
 
 
 @command("train")
-def main(config: DictConfig) -> None:
-    """The command."""
+def main(config: DictConfig) -> float | None:
+    """The command; a search maximises what it returns, the best egocentric IoU on validation homes."""
     with opened(config) as run:
         log.info("Run folder: %s\nWatch it: tensorboard --logdir %s", run.folder, run.folder.parent)
         trainer = train(run)
         if trainer.is_global_zero:
-            log.info("%s\n%s", egocentric(run, trainer), summary(run, best(run)))
+            log.info("%s\n%s", single_views(run, trainer), summary(run, best(run)))
+        return best_score(trainer)
 
 
 def train(run: Run) -> Trainer:
     """Build everything that the config names, fit, evaluate on homes that training never saw."""
-    model, data, trainer = build(run.config)
+    model, data, trainer = build(run)
     try:
         with stage("homes and truth"):
             data.setup("fit")
@@ -59,14 +60,18 @@ def train(run: Run) -> Trainer:
     return trainer
 
 
-def build(config: DictConfig) -> tuple[LightningModule, SceneData, Trainer]:
+def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
     """Model, data and trainer with its callbacks and logger."""
     from hydra.utils import instantiate
     from lightning import seed_everything
 
-    from imagination.checkpoints import CheckpointFiles, ConfigInCheckpoint
+    from imagination.checkpoints import CheckpointFiles, ConfigInCheckpoint, read_state
 
+    config = run.config
+    check_accelerator(config.trainer.accelerator)
     check_shares(config)
+    if "purge_step" in config.logger:  # what a killed process logged after the checkpoint comes again
+        config.logger.purge_step = read_state(run.checkpoint)["global_step"] if run.checkpoint else 0
     quiet_lightning()
     seed_everything(config.seed, verbose=False)
     model = instantiate(config.model.module)
@@ -128,6 +133,24 @@ def quiet_lightning() -> None:
     warnings.filterwarnings("ignore", message=".*sync_dist=True.*")  # these values are the same on all ranks
 
 
+def check_accelerator(asked: str) -> None:
+    """Check that this machine has the accelerator that the trainer is to use.
+
+    Raises:
+        UserError: if it has not.
+    """
+    from lightning.pytorch.accelerators import AcceleratorRegistry
+
+    known = {name: AcceleratorRegistry[name]["accelerator"] for name in AcceleratorRegistry}
+    usable = {name for name, accelerator in known.items() if accelerator.is_available()}
+    usable |= {"auto", *(["gpu"] if usable & {"cuda", "mps"} else [])}
+    if asked not in usable:
+        raise UserError(
+            f"trainer.accelerator: got {asked!r}, expected one that this machine has: {', '.join(sorted(usable))}; "
+            "auto takes a GPU where PyTorch sees one"
+        )
+
+
 def precision(asked: str) -> str:
     """Lightning's name of the precision; `auto` takes bfloat16 where the hardware computes it, twice as fast."""
     import torch
@@ -147,6 +170,12 @@ def best(run: Run) -> Path | None:
     """The checkpoint to evaluate: the best one on validation homes; None, the weights in memory, if none was kept."""
     path = run.folder / runs.BEST
     return path if path.is_file() else None
+
+
+def best_score(trainer: Trainer) -> float | None:
+    """Of the checkpoint that was evaluated; None if none was kept."""
+    scores = [getattr(callback, "best_model_score", None) for callback in trainer.checkpoint_callbacks]
+    return next((float(score) for score in scores if score is not None), None)
 
 
 if __name__ == "__main__":

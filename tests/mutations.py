@@ -318,15 +318,22 @@ MUTATIONS = [
     Mutation(
         "first write not whole",
         "mapping/mapper.py",
-        "merged[n] if counts[cell] > 0 else new[n]",
-        "merged[n]",
+        "new[n] if first_sighting or count == 0 else merged[n]",
+        "new[n] if first_sighting and count < 0 else merged[n]",
+        "tests/mapping/test_registration.py",
+    ),
+    Mutation(
+        "a guess outweighs the first sighting",
+        "mapping/mapper.py",
+        "first_sighting = not guessed[n] and count <= 0",
+        "first_sighting = not guessed[n] and count == 0",
         "tests/mapping/test_registration.py",
     ),
     Mutation(
         "writes not counted",
         "mapping/mapper.py",
-        "counts[cell] += 1",
-        "counts[cell] = 1",
+        "count + 1 if count > 0 else count - 1",
+        "1 if count > 0 else -1",
         "tests/mapping/test_registration.py",
     ),
     Mutation(

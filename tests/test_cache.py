@@ -4,6 +4,10 @@ import errno
 import logging
 import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -156,3 +160,88 @@ def test_code_version_covers_what_makes_entries(tmp_path: Path, monkeypatch: pyt
             code.write("# changed")
         versions.add(module.code_version.__wrapped__())
     assert len(versions) == 5
+
+
+def sized(cache: Cache, *numbers: int) -> None:
+    """Entries of a tenth of a megabyte each."""
+    for number in numbers:
+        cache.store("views", {"number": number}, {"a": np.full(100_000, number, np.uint8)})
+
+
+def kept(cache: Cache) -> set[int]:
+    return {number for number in range(20) if cache.path("views", {"number": number}).exists()}
+
+
+def test_what_was_not_used_for_longest_makes_room(tmp_path: Path) -> None:
+    cache = Cache(tmp_path, max_gigabytes=0.00045)  # four entries
+    sized(cache, 0, 1, 2, 3)
+    assert kept(cache) == {0, 1, 2, 3}
+    assert cache.load("views", {"number": 0}) is not None  # used again
+    sized(cache, 4, 5)
+    assert kept(cache) == {0, 3, 4, 5}
+    sized(Cache(tmp_path, max_gigabytes=0.00005), 6)  # too large by itself: the newest stays all the same
+    assert kept(cache) == {6}
+    removed = {"number": 0}
+    assert same(cache.get_or_build("views", removed, lambda: ENTRY), ENTRY)
+
+
+def test_processes_that_make_room_at_once_get_what_they_ask_for(tmp_path: Path) -> None:
+    """Six threads in a cache of four entries: each always gets its entry, and the limit holds at the end."""
+    cache = Cache(tmp_path, max_gigabytes=0.00045)
+
+    def use(worker: int) -> None:
+        rng = np.random.default_rng(worker)
+        for number in rng.integers(0, 12, 60).tolist():
+            got = cache.get_or_build(
+                "views", {"n": number}, lambda n=number: {"a": np.full(100_000, n, np.uint8)}
+            )
+            assert (got["a"] == number).all()
+
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(use, range(6)))
+    sized(cache, 0)
+    assert sum(path.stat().st_size for path in tmp_path.rglob("*.bin")) <= 450_000
+    assert not list(tmp_path.rglob("*.part"))
+
+
+@pytest.mark.parametrize("limit", [0, -1, float("nan")])
+def test_a_limit_out_of_range_is_refused(tmp_path: Path, limit: float) -> None:
+    with pytest.raises(UserError, match="cache.max_gigabytes: got"):
+        Cache(tmp_path, limit)
+
+
+def test_parts_of_killed_processes_are_removed_and_no_others(tmp_path: Path) -> None:
+    """One process is killed while it writes, another is still writing, both long ago by the files' times."""
+    code = f"""
+import os, sys, time
+from pathlib import Path
+from imagination import cache
+cache.os.replace = lambda *_: (print("writing", flush=True), time.sleep(600))
+cache._write(Path({str(tmp_path)!r}) / "views" / "x.bin", b"half")
+"""
+    (tmp_path / "views").mkdir()
+    writers = [
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(2)
+    ]
+    try:
+        for writer in writers:
+            assert writer.stdout is not None and writer.stdout.readline() == "writing\n"
+        dead, alive = (next(iter(found(tmp_path, writer))) for writer in writers)
+        writers[0].kill()
+        writers[0].wait()
+        fresh = tmp_path / "views" / ".fresh.part"  # made just now, not locked yet
+        fresh.touch()
+        for path in (dead, alive):
+            os.utime(path, (time.time() - 3600,) * 2)
+        Cache(tmp_path)
+        assert set(tmp_path.rglob(".*.part")) == {alive, fresh}
+    finally:
+        for writer in writers:
+            writer.send_signal(signal.SIGKILL)
+            writer.wait()
+
+
+def found(folder: Path, writer: subprocess.Popen[str]) -> set[Path]:
+    """The part that a process holds open."""
+    links = [Path(link).resolve() for link in Path(f"/proc/{writer.pid}/fd").iterdir()]
+    return set(folder.rglob(".*.part")) & set(links)

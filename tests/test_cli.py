@@ -1,10 +1,12 @@
 """Commands as a user runs them: what a run leaves behind, and what mistakes get."""
 
+import csv
 import os
 import signal
 import subprocess
 import sys
 import time
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,14 @@ from tests.conftest import ROOT, Command
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
 
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+ALIKE = "all_best", "all_shared", "bed_best", "table_best"
+"""Experiments that are put together from what others run."""
+
+
+@pytest.mark.parametrize(
+    "experiment",
+    [pytest.param(name, marks=pytest.mark.slow) if name in ALIKE else name for name in EXPERIMENTS],
+)
 def test_experiments_run_fast(command: Command, experiment: str) -> None:
     done = command("train", f"+experiment={experiment}", "scale=test", "trainer.fast_dev_run=true")
     assert done.returncode == 0, done.stderr
@@ -72,17 +81,51 @@ def test_a_mistake_found_later_is_told_as_shortly(command: Command, tmp_path: Pa
     done = command("train", "scale=test", "model/encoder=timm", "model.encoder.name=resnet1888")
     assert done.returncode == 2
     assert "Traceback" not in done.stderr and "resnet18" in done.stderr
-    assert "Traceback" in (tmp_path / "outputs" / "custom" / "latest" / "run.log").read_text()
+    runs = tmp_path / "outputs" / "custom"
+    assert "Traceback" in only(runs, "*/run.log").read_text()
+    assert not (runs / "latest").is_symlink()  # it was refused: there is nothing to go on with
 
 
-def test_a_sweep_has_a_folder_of_its_own(command: Command, tmp_path: Path) -> None:
-    done = command(
-        "train", "-m", "scale=test", "name=swept", "trainer.fast_dev_run=true", "seed=1,2", timeout=300
+def test_an_accelerator_that_is_not_there_is_told(command: Command) -> None:
+    done = command("train", "scale=test", "trainer.accelerator=tpu")
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "trainer.accelerator: got 'tpu', expected one that this machine has: auto, cpu" in done.stderr
+
+
+def only(folder: Path, pattern: str) -> Path:
+    (path,) = folder.glob(pattern)
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["train", "render"])
+def test_ctrl_c_while_homes_are_built(tmp_path: Path, name: str) -> None:
+    """To the whole group, as a terminal sends it: a message and nothing else, within seconds."""
+    arguments = ["scale.homes.train=40", "scale.truth_image=512", "scale.resolution=0.03", "scale.workers=2"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", f"imagination.{name}", "scale=test", *arguments],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
-    assert done.returncode == 0, done.stderr
-    members = list((tmp_path / "outputs" / "swept").glob("multirun_*/*/config.yaml"))
-    assert sorted(path.parent.name for path in members) == ["0", "1"]
-    assert not (tmp_path / "outputs" / "swept" / "latest").exists()
+    try:
+        if name == "train":
+            while not list(tmp_path.glob("outputs/custom/*/run.log")):
+                assert process.poll() is None
+                time.sleep(0.1)
+        time.sleep(12)
+        assert process.poll() is None
+        start = time.monotonic()
+        os.killpg(process.pid, signal.SIGINT)
+        told = process.communicate(timeout=60)[1]
+        seconds = time.monotonic() - start
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert "Interrupted" in told and "Traceback" not in told, told
+    assert seconds < 5, f"took {seconds:.1f} s"
 
 
 def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
@@ -106,6 +149,32 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     text = (tmp_path / "told").read_text()
     assert "Traceback" not in text
     assert "Interrupted. Go on with: python -m imagination.train ckpt_path=outputs/chair_unet/" in text
+
+
+@pytest.mark.slow
+def test_the_study_runs_and_does_nothing_twice(command: Command, tmp_path: Path) -> None:
+    arguments = ["study", "scale=test", "experiments=[chair_unet,bed_unet,segmentation_hrnet]"]
+    done = command(*arguments, timeout=900)
+    assert done.returncode == 0, done.stderr
+    again = command(*arguments, timeout=900)
+    assert again.returncode == 0, again.stderr
+    assert again.stderr.count("already trained") == 3 and "training rounds" not in again.stderr
+    tables = [path / "tables" for path in sorted((tmp_path / "outputs" / "study").glob("evaluate_*"))]
+    assert len(tables) == 2
+    for name in ("mapping.csv", "paired.csv", "runs.csv", "training.csv", "furniture.csv"):
+        assert (tables[0] / name).read_bytes() == (tables[1] / name).read_bytes()
+    rows = list(csv.DictReader((tables[0] / "mapping.csv").read_text().splitlines()))
+    approaches = {
+        "seg_gt", "seg_hrnet", "imagination_seen", "seen_dilated", "imagination", "rgb_shuffled", "oracle",
+    }  # fmt: skip
+    assert {(row["approach"], row["category"], row["cell_width"]) for row in rows} == set(
+        product(approaches, ["chair", "bed"], ["3", "2.5"])
+    )
+    training = list(csv.DictReader((tables[0] / "training.csv").read_text().splitlines()))
+    views = {row["network"]: row["views"] for row in training}
+    assert views["segmentation_hrnet"] == views["chair_unet"]  # as many as the units had
+    samples = {row["network"]: int(row["samples"]) for row in training}
+    assert samples["segmentation_hrnet"] >= samples["chair_unet"]
 
 
 @pytest.mark.slow

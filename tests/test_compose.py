@@ -25,17 +25,33 @@ def read(path: Path) -> dict:
     return yaml.safe_load(path.read_text())
 
 
+@pytest.mark.parametrize("scale", options("scale"))
+@pytest.mark.parametrize("experiment", options("experiment"))
+def test_the_scale_wins(experiment: str, scale: str) -> None:
+    check_sizes(experiment, scale, [])
+
+
+@pytest.mark.parametrize("callbacks", options("callbacks"))
+def test_the_scale_wins_with_any_callbacks(callbacks: str) -> None:
+    check_sizes("chair_unet", "test", [f"callbacks=[{callbacks}]"])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("callbacks", options("callbacks"))
 @pytest.mark.parametrize("scale", options("scale"))
 @pytest.mark.parametrize("experiment", options("experiment"))
-def test_the_scale_wins(experiment: str, scale: str, callbacks: str) -> None:
-    choices = [f"+experiment={experiment}", f"scale={scale}", f"callbacks=[{callbacks}]"]
-    config = compose("train", [*choices, "paths.run=."])
+def test_the_scale_wins_in_every_combination(experiment: str, scale: str, callbacks: str) -> None:
+    check_sizes(experiment, scale, [f"callbacks=[{callbacks}]"])
+
+
+def check_sizes(experiment: str, scale: str, overrides: list[str]) -> None:
+    config = compose("train", [f"+experiment={experiment}", f"scale={scale}", *overrides, "paths.run=."])
     resolved = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     sizes = read(CONF / "scale" / f"{scale}.yaml")
     assert resolved["scale"] == sizes
     assert resolved["name"] == experiment
-    assert resolved["trainer"]["max_epochs"] == sizes["rounds"]
+    rounds = "hrnet_rounds" if resolved["model"]["predicts"] == "images" else "rounds"
+    assert resolved["trainer"]["max_epochs"] == sizes[rounds]
     assert resolved["data"]["module"]["batch_size"] == sizes["batch_size"]
     assert resolved["data"]["observer"]["camera"]["width"] == sizes["image"]
     assert resolved["ego"]["resolution"] == resolved["ground_truth"]["resolution"] == sizes["resolution"]
@@ -130,3 +146,19 @@ def test_an_unknown_precision_is_refused_by_name() -> None:
     assert precision("32-true") == "32-true" and precision("auto") in ("32-true", "bf16-mixed")
     with pytest.raises(UserError, match="precision: got 'half', expected one of: 16-mixed"):
         precision("half")
+
+
+@pytest.mark.parametrize("category", ["chair", "bed", "table", "all"])
+def test_the_best_recipe_is_the_paper_s_with_another_loss_and_rule(category: str) -> None:
+    paper = "all_units" if category == "all" else f"{category}_unet"
+    ours, theirs = (
+        OmegaConf.to_container(compose("train", [f"+experiment={name}", "paths.run=."]), resolve=True)
+        for name in (f"{category}_best", paper)
+    )
+    assert ours["model"]["loss"]["_target_"].endswith("BCEDice")
+    assert theirs["model"]["loss"]["_target_"].endswith("WeightedBCE")
+    assert ours["mapping"]["registration"]["_target_"].endswith(".Mean")
+    for config in (ours, theirs):
+        del config["name"], config["model"]["loss"], config["model"]["module"]["loss"]
+        del config["mapping"]["registration"], config["evaluation"], config["callbacks"]["mapping_evaluation"]
+    assert ours == theirs

@@ -6,7 +6,7 @@ import sys
 
 from tests.conftest import ROOT, Command
 
-LIGHT = "geometry scenes ground_truth views mapping"
+LIGHT = "geometry scenes ground_truth views mapping recordings viewers"
 
 BLOCKED = f"""
 import importlib, pathlib, sys
@@ -17,6 +17,7 @@ class Block:
 sys.meta_path.insert(0, Block())
 root = pathlib.Path("imagination")
 files = [root / "errors.py", root / "categories.py", root / "plugins.py", root / "cache.py"]
+files += [root / "deployment" / "load.py", root / "deployment" / "onnx_module.py"]
 files += [path for room in {LIGHT.split()!r} for path in sorted((root / room).rglob("*.py"))]
 for path in files:
     name = ".".join(path.with_suffix("").parts).removesuffix(".__init__")
@@ -37,7 +38,7 @@ def test_geometry_and_mapping_need_no_torch() -> None:
 
 def test_commands_import_no_torch_before_they_work() -> None:
     code = "import sys, imagination.{0}; sys.exit('torch' in sys.modules or 'lightning' in sys.modules)"
-    for name in ("train", "evaluate", "render"):
+    for name in ("train", "evaluate", "render", "map", "export", "serve"):
         done = python(code.format(name))
         assert done.returncode == 0, (name, done.stderr)
 

@@ -12,12 +12,16 @@ import pytest
 import torch
 from omegaconf import DictConfig, OmegaConf
 
+from imagination import runs
+from imagination.callbacks.checkpoints import MovableCheckpoint
 from imagination.checkpoints import KEY, Checkpoint, CheckpointFiles, ConfigInCheckpoint, read_state
 from imagination.config import check_targets, compose
 from imagination.errors import UserError
+from imagination.units.schedule import CosineAnnealing
 from tests.conftest import ROOT, Command
 
 JOB = ["+experiment=chair_unet", "scale=test"]
+EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
 
 def config(*overrides: str) -> DictConfig:
@@ -31,7 +35,7 @@ def checkpoint(path: Path, description: dict[str, Any] | None = None) -> Path:
     """A checkpoint of an untrained unit, or with a description of one's own."""
     from hydra.utils import instantiate
 
-    whole = config("seed=7", "model.module.alpha_max=12.0")
+    whole = config("seed=7", "model.loss.alpha_max=12.0")
     state = {"state_dict": instantiate(whole.model.module).state_dict()}
     CheckpointFiles().save_checkpoint(
         {**state, KEY: description or ConfigInCheckpoint(whole).description}, path
@@ -43,16 +47,16 @@ def test_a_checkpoint_brings_its_values_and_no_targets(tmp_path: Path) -> None:
     state = read_state(checkpoint(tmp_path / "a.ckpt"))
     assert "_target_" not in str(state[KEY]) and str(Path.cwd()) not in str(state[KEY])
     read = Checkpoint.read(tmp_path / "a.ckpt")
-    assert (read.config.seed, read.config.model.module.alpha_max, read.config.scale.unit_width) == (
+    assert (read.config.seed, read.config.model.loss.alpha_max, read.config.scale.unit_width) == (
         7,
         12.0,
         4,
     )
     assert read.config.model.unit._target_ == "imagination.units.unit.ImaginationUnit"
-    assert read.model().alpha_max == 12.0
-    read.require(["chair"], config())
-    with pytest.raises(UserError, match=r"is of chair at 0.12 m a cell, but .* asks for bed at 0.06 m"):
-        read.require(["bed"], config("scale=desk"))
+    assert read.model().loss.alpha_max == 12.0
+    read.require(config())
+    with pytest.raises(UserError, match=r"is of chair at 0.12 m a cell, but .* asks for chair at 0.06 m"):
+        read.require(config("scale=desk"))
 
 
 @pytest.mark.parametrize(
@@ -100,9 +104,7 @@ def test_a_checkpoint_of_another_model_is_told(tmp_path: Path) -> None:
         Checkpoint.read(path).model()
 
 
-@pytest.mark.parametrize(
-    "experiment", sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
-)
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_our_own_targets_are_trusted(experiment: str) -> None:
     check_targets(compose("train", [f"+experiment={experiment}", "paths.run=."]))
 
@@ -142,17 +144,89 @@ def test_a_run_goes_on_with_its_own_config_only(command: Command, tmp_path: Path
     assert description["epoch"] == 1 and description[KEY]["values"]["seed"] == 3
     composed = runs[0] / "composed.yaml"
     text = composed.read_text()
-    for damaged in (text[: len(text) // 2], "[", text.replace("torch.optim.Adam", "os.system")):
+    lines = text.splitlines(keepends=True)
+    cut = [lines[:-1], lines[: lines.index("resume: null\n")], []]  # valid YAML all of them
+    damages = ["".join(some) for some in cut] + [text[: len(text) // 2], "["]
+    for damaged in (*damages, text.replace("torch.optim.Adam", "os.system")):
         composed.write_text(damaged)
         done = command("train", "resume=latest")
         assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
 
 
+def test_the_best_checkpoint_is_known_after_a_move(tmp_path: Path) -> None:
+    names = {"monitor": "val/iou", "filename": "best", "mode": "max"}
+    here, there = (MovableCheckpoint(dirpath=tmp_path / folder, **names) for folder in ("here", "there"))  # type: ignore[arg-type]
+    best = str(tmp_path / "here" / "best.ckpt")
+    here.best_model_path = here.kth_best_model_path = here.last_model_path = best
+    here.best_model_score = here.kth_value = torch.tensor(0.5)
+    here.best_k_models = {best: torch.tensor(0.5)}
+    state = here.state_dict()
+    assert str(tmp_path) not in str(state)
+    there.load_state_dict(state)
+    moved = str(tmp_path / "there" / "best.ckpt")
+    assert there.best_model_path == there.kth_best_model_path == there.last_model_path == moved
+    assert there.best_k_models == {moved: 0.5} and there.best_model_score == there.kth_value == 0.5
+    fresh = MovableCheckpoint(dirpath=tmp_path / "there", **names)  # type: ignore[arg-type]
+    fresh.load_state_dict(MovableCheckpoint(dirpath=tmp_path / "here", **names).state_dict())  # type: ignore[arg-type]
+    assert fresh.best_model_path == "" and fresh.best_k_models == {} and fresh.best_model_score is None
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("moment", [0.0, 0.35, 1.1])
-def test_a_killed_run_ends_as_an_uninterrupted_one(tmp_path: Path, command: Command, moment: float) -> None:
-    """SIGKILL some seconds after the first checkpoint, resume: the same weights, the same table."""
-    job = [*JOB, "scale.rounds=6", "scale.eval_every=2", "scale.workers=1"]
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_every_experiment_trains_stops_and_goes_on(command: Command, tmp_path: Path, experiment: str) -> None:
+    """One real round with its checkpoint, a second one after resuming, the final tables."""
+    job = [f"+experiment={experiment}", "scale=test"]
+    done = command("train", *job, "trainer.max_epochs=1", timeout=900)
+    assert done.returncode == 0, done.stderr
+    run = (tmp_path / "outputs" / experiment / "latest").resolve()
+    assert read_state(run / runs.LAST)["epoch"] == 0
+    first = read_state(run / runs.LAST)["state_dict"]
+    done = command("train", "resume=latest", job[0], "trainer.max_epochs=2", timeout=900)
+    assert done.returncode == 0, done.stderr
+    last = read_state(run / runs.LAST)
+    assert last["epoch"] == 1
+    assert any(not torch.equal(first[name], last["state_dict"][name]) for name in first)
+    rows = (run / "tables" / "mapping.csv").read_text().splitlines()
+    assert rows[0].startswith("approach,category,cell_width,runs,iou_pooled") and len(rows) > 4
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_tables(tmp_path: Path, command: Command) -> None:
+    """Twice, each with a cold cache of its own; another seed gives others."""
+    for folder, seed in (("one", 5), ("two", 5), ("other", 6)):
+        done = command("train", *JOB, f"seed={seed}", f"paths.outputs={folder}", timeout=900)
+        assert done.returncode == 0, done.stderr
+    tables = {
+        folder: {
+            path.name: path.read_bytes()
+            for path in (tmp_path / folder / "chair_unet" / "latest" / "tables").glob("*.csv")
+        }
+        for folder in ("one", "two", "other")
+    }
+    assert {"mapping.csv", "paired.csv", "runs.csv", "ego.csv"} <= set(tables["one"])
+    assert tables["one"] == tables["two"] != tables["other"]
+    caches = [
+        sorted(path.name for path in (tmp_path / folder / "cache").rglob("*.bin"))
+        for folder in ("one", "two")
+    ]
+    assert caches[0] == caches[1] and caches[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("experiment", "moment"),
+    [("chair_unet", 0.0), ("chair_unet", 0.35), ("chair_unet", 1.1), ("segmentation_hrnet", 0.35)],
+)
+def test_a_killed_run_ends_as_an_uninterrupted_one(
+    tmp_path: Path, command: Command, experiment: str, moment: float
+) -> None:
+    """SIGKILL some seconds after the first checkpoint, move the folder, resume: the same weights, tables and curves."""
+    job = [f"+experiment={experiment}", "scale=test", "scale.eval_every=2", "scale.workers=1"]
+    if experiment == "segmentation_hrnet":  # beyond the rounds that collect, with a rate that falls
+        job += ["scale.hrnet_rounds=6", "callbacks.until_flat.patience=1", "callbacks.until_flat.margin=1.0"]
+        job += ["callbacks.until_flat.lowerings=6", "scale.rounds=3"]
+    else:
+        job += ["scale.rounds=6", "scale.final_learning_rate=0.00001"]
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert command("train", *job, f"paths.outputs={whole}").returncode == 0
     process = subprocess.Popen(
@@ -163,23 +237,79 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(tmp_path: Path, command: Comm
         stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
-    last = Path("chair_unet") / "latest" / "checkpoints" / "last.ckpt"
+    last = Path(experiment) / "latest" / "checkpoints" / "last.ckpt"
     while not (broken / last).is_file():
         assert process.poll() is None
         time.sleep(0.02)
     time.sleep(moment)
     os.killpg(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
-    done = command("train", "resume=latest", f"paths.outputs={broken}")
+    (broken / experiment / "latest" / ".last.ckpt.x.part").mkdir()  # as a kill while saving leaves it
+    broken = broken.rename(tmp_path / "moved")
+    done = command("train", "resume=latest", f"paths.outputs={broken}", timeout=900)
     assert done.returncode == 0, done.stderr
+    assert not list((broken / experiment).rglob(".*.part"))
     for name in ("mapping.csv", "runs.csv"):
-        table = Path("chair_unet") / "latest" / "tables" / name
+        table = Path(experiment) / "latest" / "tables" / name
         assert (whole / table).read_bytes() == (broken / table).read_bytes()
     one, other = (read_state(outputs / last) for outputs in (whole, broken))
     assert one["epoch"] == other["epoch"] == 5
     assert all(torch.equal(one["state_dict"][name], other["state_dict"][name]) for name in one["state_dict"])
     assert one["optimizer_states"][0]["param_groups"] == other["optimizer_states"][0]["param_groups"]
     assert best_score(one) == best_score(other)
+    if experiment == "segmentation_hrnet":
+        return
+    rates = {state["lr_schedulers"][0]["_last_lr"][0] for state in (one, other)}
+    assert len(rates) == 1 and rates.pop() < 0.0001  # the cosine came down
+    curves = [points(outputs / "chair_unet" / "latest" / "tensorboard") for outputs in (whole, broken)]
+    assert len(curves[0]["train/loss"]) == len(curves[0]["val/iou"]) * 4 == 12
+    assert curves[0] == curves[1]
+
+
+def points(folder: Path) -> dict[str, list[int]]:
+    """Steps of each curve and picture that TensorBoard reads from a run's event files."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(folder), size_guidance={"scalars": 0, "images": 0}).Reload()
+    curves = {tag: [event.step for event in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+    return curves | {tag: [event.step for event in events.Images(tag)] for tag in events.Tags()["images"]}
+
+
+def test_a_run_that_goes_on_beyond_its_rounds_keeps_the_final_rate() -> None:
+    def schedule(kind: type, rounds: int, resumed: bool = False) -> list[float]:
+        optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=0.1)
+        scheduler, rates = kind(optimizer, T_max=5, eta_min=0.001), []
+        for number in range(rounds):
+            rates.append(optimizer.param_groups[0]["lr"])
+            optimizer.step()
+            scheduler.step()
+            if resumed and number == 4:  # a checkpoint after the last round of the plan
+                states = optimizer.state_dict(), scheduler.state_dict()
+                optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=0.1)
+                scheduler = kind(optimizer, T_max=5, eta_min=0.001)
+                optimizer.load_state_dict(states[0])
+                scheduler.load_state_dict(states[1])
+        return rates
+
+    plain = schedule(torch.optim.lr_scheduler.CosineAnnealingLR, 12)
+    assert max(plain[6:]) > 0.09  # PyTorch's own
+    for resumed in (False, True):
+        ours = schedule(CosineAnnealing, 12, resumed)
+        assert ours[:6] == plain[:6]
+        assert ours[6:] == [ours[5]] * 6 and ours[5] == pytest.approx(0.001)
+
+
+def test_latest_goes_back_to_where_it_pointed(tmp_path: Path) -> None:
+    old, new = (runs.create_folder(tmp_path, name) for name in ("old", "new"))
+    assert runs.point_latest(old) is None
+    before = runs.point_latest(new)
+    assert before == "old"
+    runs.take_back_latest(new, before)
+    assert (tmp_path / "latest").readlink() == Path("old")
+    runs.take_back_latest(new, before)  # another run has taken it since
+    assert (tmp_path / "latest").readlink() == Path("old")
+    runs.take_back_latest(old, None)
+    assert not (tmp_path / "latest").is_symlink()
 
 
 def best_score(state: dict[str, Any]) -> float:

@@ -10,10 +10,12 @@ from imagination.callbacks.pictures import add_image
 from imagination.data.datamodule import SceneData
 from imagination.errors import check_range
 from imagination.evaluation.figures import side_by_side
-from imagination.evaluation.prediction import Model
+from imagination.evaluation.prediction import Model, Segmenter
 from imagination.evaluation.protocol import MappingProtocol
 from imagination.evaluation.results import evaluate, subject_of
 from imagination.progress import stage
+
+Network = Model | Segmenter
 
 
 class MappingEvaluation(Callback):
@@ -39,6 +41,10 @@ class MappingEvaluation(Callback):
         self.homes = int(check_range("mapping_evaluation.homes", homes, 1, 100_000))
         self.folder = Path(folder)
 
+    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        networks = subject_of(_data(trainer), [cast(Network, pl_module)], keep=False).predict
+        self.protocol.available(networks.gives)  # refused before training, not after it
+
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if (trainer.current_epoch + 1) % self.every_n_rounds == 0 and trainer.is_global_zero:
             with stage("evaluation"):
@@ -47,7 +53,7 @@ class MappingEvaluation(Callback):
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if not trainer.is_global_zero:
             return
-        report, rows = evaluate(self.protocol, _data(trainer), [cast(Model, pl_module)], self.folder)
+        report, rows = evaluate(self.protocol, _data(trainer), [cast(Network, pl_module)], self.folder)
         for row in rows:
             tag = f"global/{row['category']}/{row['approach']}/{row['cell_width']}m"
             pl_module.log(tag, float(row["iou_pooled"]), rank_zero_only=True)
@@ -56,13 +62,15 @@ class MappingEvaluation(Callback):
 
     def _monitor(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data = _data(trainer)
-        subject = subject_of(data, [cast(Model, pl_module)])
+        subject = subject_of(
+            data, [cast(Network, pl_module)], keep=False
+        )  # weights that change with every round
         every = data.observer.source.scenes("val")
         furnished = [
             home for home in every if data.observer.truth(home).truth[data.layers].any(axis=(1, 2)).all()
         ]
         homes = furnished[: self.homes] or every
-        few = replace(self.protocol, viewpoint_sets=1)
+        few = replace(self.protocol.available(subject.predict.gives), viewpoint_sets=1)
         choices = few.choose(subject, homes, silent=True)
         for (approach, category), choice in choices.items():
             pl_module.log(f"global/{category}/{approach}/val", choice.iou, rank_zero_only=True)

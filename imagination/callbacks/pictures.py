@@ -58,10 +58,18 @@ class Pictures(Callback):
 
 
 def add_image(trainer: Trainer, tag: str, image: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Show an image in TensorBoard, where the trainer logs to it."""
+    """Show an image in TensorBoard, where the trainer logs to it, at the last step that was done."""
     for logger in trainer.loggers:
         if isinstance(logger, TensorBoardLogger):
-            logger.experiment.add_image(tag, image, trainer.global_step, dataformats="HWC")
+            logger.experiment.add_image(tag, image, last_step(trainer), dataformats="HWC")
+
+
+def last_step(trainer: Trainer) -> int:
+    """Step that TensorBoard shows for what belongs to a round: its last, so that a checkpoint's step begins the next.
+
+    The final test, made anew when a finished run goes on, has the step after the last.
+    """
+    return trainer.global_step - (0 if trainer.testing else 1)
 
 
 def draw(

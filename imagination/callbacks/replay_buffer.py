@@ -3,8 +3,10 @@
 from collections.abc import Callable, Iterator
 
 import numpy as np
+import torch
 from lightning import Callback, LightningModule, Trainer
 
+from imagination.data.augmentation import mirrored
 from imagination.data.batches import Batch
 from imagination.data.datamodule import SceneData
 from imagination.data.replay_buffer import ReplayBuffer
@@ -27,6 +29,8 @@ class ReplayBufferCallback(Callback):
         update_batches: batches trained on in a round.
         aggregation_factor: share of a batch from older views, the rest from the newest collection.
         prefill_steps: collection steps before the first round, a multiple of `update_interval`.
+        mirrored_share: of the views in batches, seen in a mirror.
+        collecting_rounds: rounds that collect; those after them train on what is there.
     """
 
     def __init__(
@@ -36,6 +40,8 @@ class ReplayBufferCallback(Callback):
         update_batches: int,
         aggregation_factor: float,
         prefill_steps: int,
+        mirrored_share: float,
+        collecting_rounds: int,
     ) -> None:
         self.buffer = ReplayBuffer(size, aggregation_factor)
         self.update_interval = int(
@@ -47,6 +53,8 @@ class ReplayBufferCallback(Callback):
                 f"prefill_steps: got {prefill_steps}, expected a multiple of update_interval = {self.update_interval}"
             )
         self.prefill = prefill_steps // self.update_interval
+        self.mirrored_share = check_range("mirrored_share", mirrored_share, 0.0, 1.0)
+        self.collecting_rounds = int(check_range("collecting_rounds", collecting_rounds, 1, 10**9, "rounds"))
         self._resident = 0  # collections that this process has inserted or passed over as too old
         self._started: dict[int, Callable[[], Views]] = {}
 
@@ -63,9 +71,11 @@ class ReplayBufferCallback(Callback):
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
         collector = data.collector(self.update_interval)
-        newest = self.prefill + trainer.current_epoch
-        self._fill(collector, newest, 2 * max(1, data.workers))
-        if trainer.current_epoch + 1 < (trainer.max_epochs or 0):
+        newest = self.prefill + min(trainer.current_epoch, self.collecting_rounds - 1)
+        self._fill(data, collector, newest, 2 * max(1, data.workers))
+        if trainer.current_epoch >= self.collecting_rounds:
+            self.buffer.settle()
+        elif trainer.current_epoch + 1 < min(trainer.max_epochs or 0, self.collecting_rounds):
             self._start(collector, newest + 1)  # renders while this round trains
         collected = (newest + 1) * collector.views_per_collection * ranks()
         pl_module.log("data/collected_views", float(collected))
@@ -74,7 +84,7 @@ class ReplayBufferCallback(Callback):
             self.update_batches * data.batch_size * (trainer.current_epoch + 1) / collected,
         )
 
-    def _fill(self, collector: Collector, newest: int, ahead: int) -> None:
+    def _fill(self, data: SceneData, collector: Collector, newest: int, ahead: int) -> None:
         """Insert every collection up to `newest` that still has a place in the buffer."""
         kept = -(-self.buffer.size // collector.views_per_collection)
         wanted = range(max(self._resident, newest + 1 - kept), newest + 1)
@@ -82,7 +92,8 @@ class ReplayBufferCallback(Callback):
         for index in shown:
             for later in range(index, min(index + ahead, newest + 1)):
                 self._start(collector, later)
-            self.buffer.insert(self._started.pop(index)())
+            views = self._started.pop(index)()
+            self.buffer.insert({name: views[name] for name in data.fields})
         self._resident = newest + 1
 
     def _start(self, collector: Collector, index: int) -> None:
@@ -100,19 +111,26 @@ class _Rounds:
         return self.callback.update_batches * self.trainer.accumulate_grad_batches
 
     def __iter__(self) -> Iterator[Batch]:
+        share, count = self.data.batch_size // ranks(), self.trainer.accumulate_grad_batches
         for number in range(self.callback.update_batches):
             place = number * ranks() + rank()
-            seed = [self.data.seed, Stream.BATCHES, self.trainer.current_epoch, place]
-            share = self.data.batch_size // ranks()
-            views = self.callback.buffer.draw(share, np.random.default_rng(seed))
-            yield from parts(self.data.assemble(views), self.trainer.accumulate_grad_batches)
+            rng = np.random.default_rng([self.data.seed, Stream.BATCHES, self.trainer.current_epoch, place])
+            views = self.callback.buffer.draw(share, rng)
+            which = rng.random(share) < self.callback.mirrored_share
+            yield from parts(self.data.assemble(mirrored(views, which)), count)
 
 
 def parts(batch: Batch, count: int) -> Iterator[Batch]:
-    """A batch in `count` parts for gradient accumulation, each with the counts that weigh the loss of the whole."""
+    """A batch in `count` parts for gradient accumulation, each with what weighs its loss as a part of the whole.
+
+    Maps get the counts of `batch_counts`, first-person images the number of views.
+    """
     if count == 1:
         yield batch
         return
-    counts = batch_counts(batch["label"], batch["neighbourhood"])
+    if "label" in batch:
+        whole = {"counts": batch_counts(batch["label"], batch["neighbourhood"])}
+    else:
+        whole = {"views": torch.tensor(len(batch["rgb"]))}
     for first in range(count):
-        yield {**{name: values[first::count] for name, values in batch.items()}, "counts": counts}
+        yield {**{name: values[first::count] for name, values in batch.items()}, **whole}

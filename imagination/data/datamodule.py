@@ -7,8 +7,8 @@ import numpy as np
 from lightning import LightningDataModule
 from torch.utils.data import DataLoader
 
-from imagination.data.batches import Batch, assemble
-from imagination.errors import UserError, check_range
+from imagination.data.batches import FIELDS, Batch, assemble, assemble_images
+from imagination.errors import UserError, check_choice, check_range
 from imagination.geometry.morphology import kernel_cells
 from imagination.progress import progress
 from imagination.ranks import begun_elsewhere, rank, ranks
@@ -36,6 +36,7 @@ class SceneData(LightningDataModule):
         batch_size: views in a batch, of all processes that train together.
         held_out_views: number of views for validation and test.
         workers: processes that render; 0 renders in the main process.
+        predicts: what batches are for: networks of egocentric "maps", or of first-person "images".
 
     Raises:
         UserError: on a value out of range or an unknown category.
@@ -54,9 +55,11 @@ class SceneData(LightningDataModule):
         batch_size: int,
         held_out_views: Mapping[Split, int],
         workers: int,
+        predicts: str = "maps",
     ) -> None:
         super().__init__()
         self.observer = observer
+        self.predicts = check_choice("model.predicts", predicts, FIELDS)
         self.unit_categories = list(unit_categories)
         self.layers = [observer.categories.index(name) - 1 for name in unit_categories]
         self.sampler, self.held_out_sampler = sampler, held_out_sampler
@@ -118,8 +121,15 @@ class SceneData(LightningDataModule):
         share = self.parallel_scenes // ranks()
         return Collector(self.pool, scenes, self.sampler, self.seed, share, steps, first_slot=rank() * share)
 
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Arrays of views that `assemble` needs."""
+        return FIELDS[self.predicts]
+
     def assemble(self, views: Views) -> Batch:
         """A batch for the unit's categories."""
+        if self.predicts == "images":
+            return assemble_images(views, self.layers)
         return assemble(views, self.layers, self.imaginable, self.neighbourhood)
 
     def train_dataloader(self) -> Iterable[Batch]:

@@ -53,6 +53,10 @@ class ReplayBuffer:
         self._inserted += count
         self._newest = count
 
+    def settle(self) -> None:
+        """Make all views equally old: nothing more is collected, so none of them is newer than the others."""
+        self._newest = len(self)
+
     def draw(self, batch_size: int, rng: np.random.Generator) -> Views:
         """Draw a batch of views, old ones first.
 

@@ -2,19 +2,32 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32
 
 from imagination.errors import check_choice, check_range
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import close, dilate, kernel_cells
 from imagination.geometry.projection import Band, project_categories
-from imagination.ground_truth.label import neighbourhood
+from imagination.ground_truth.label import imaginable_mask
+from imagination.mapping.module import Statement, valid_imagination
 from imagination.mapping.registration import Rule
 from imagination.views.collector import Views
+
+Predictions = dict[str, np.ndarray]
+"""What networks say about views, by the name of a need: see `NEEDS`."""
+
+NEEDS = {
+    "maps": "a unit's checkpoint",
+    "maps_of_shuffled_rgb": "a unit's checkpoint",
+    "images": "a checkpoint of a segmentation network, or the folder of public weights (ade20k=FOLDER)",
+}
+"""What an approach may need of networks, and where it comes from: maps, float32 [n, c, v, v], are the probabilities of
+the evaluated categories; so are maps_of_shuffled_rgb, but each view had the colours of another one; images, uint8
+[n, h, w], are first-person segmentations, 0 for none, else the category's row + 1."""
 
 
 class Setting(NamedTuple):
@@ -34,47 +47,48 @@ class Setting(NamedTuple):
     table_size: int
 
 
-class Statement(NamedTuple):
-    """What views say: the values of cells, and which cells they have something to say about."""
-
-    values: Float32[np.ndarray, "n c v v"]
-    mask: Bool[np.ndarray, "n c v v"]
-
-
 @runtime_checkable
 class Evidence(Protocol):
     """Turns views into statements. Hashable, so that approaches with equal evidence and rule share a map."""
 
-    def __call__(
-        self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting
-    ) -> Statement:
-        """What `views` say, given the network's `probabilities` for each."""
+    @property
+    def needs(self) -> str | None:
+        """What it needs of networks, one of `NEEDS`; None if nothing."""
+
+    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
+        """What `views` say, given the networks' predictions for each."""
 
 
 @dataclass(frozen=True)
 class ProjectedSegmentation:
-    """First-person ground-truth segmentation, projected by depth: ordinary semantic mapping with a perfect network.
+    """First-person segmentation, projected by depth: ordinary semantic mapping.
 
     A view has something to say about the cells it saw and those that a return of the category fell into.
 
     Attributes:
         low, high: band of heights above the floor whose returns count, metres.
         max_range: depth beyond which returns are ignored, metres.
+        predicted: whether the segmentation is a network's; else it is the ground truth, a perfect network's.
     """
 
     low: float
     high: float
     max_range: float
+    predicted: bool = False
 
     def __post_init__(self) -> None:
         check_range("seg.high", self.high, self.low, 100.0, "m", open_low=True)
         check_range("seg.max_range", self.max_range, 0.0, np.inf, "m", open_low=True)
 
-    def __call__(
-        self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting
-    ) -> Statement:
-        found = np.zeros_like(probabilities, dtype=bool)
-        for index, (depth, image) in enumerate(zip(views["depth"], views["categories"], strict=True)):
+    @property
+    def needs(self) -> str | None:
+        return "images" if self.predicted else None
+
+    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
+        images = predictions["images"] if self.predicted else views["categories"]
+        size = setting.ego.cells
+        found = np.zeros((len(images), len(setting.layers), size, size), bool)
+        for index, (depth, image) in enumerate(zip(views["depth"], images, strict=True)):
             layers = project_categories(
                 depth.astype(np.float32),
                 image,
@@ -92,38 +106,59 @@ class ProjectedSegmentation:
 class SeenPrediction:
     """imagination_seen: the prediction where depth saw the cell, prediction ∘ V_seen."""
 
-    def __call__(
-        self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting
-    ) -> Statement:
+    needs: ClassVar[str] = "maps"
+
+    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
+        probabilities = predictions["maps"]
         # masked by what is written, not by zeros: these would be mixed into the rim of V_seen when views are registered
         return Statement(probabilities, np.broadcast_to(views["seen"][:, None], probabilities.shape))
 
 
 @dataclass(frozen=True)
 class ValidPrediction:
-    """imagination: V_valid = prediction ∘ M*_seen, M*_seen = dilation([prediction >= tau_valid] ∘ V_seen, epsilon).
-
-    A view has something to say about the cells it saw, where it denies what is not valid, and about M*_seen.
+    """imagination: V_valid = prediction ∘ M*_seen; see `valid_imagination`.
 
     Attributes:
         threshold: tau_valid.
         kernel: epsilon, metres.
+        needs: maps, or maps_of_shuffled_rgb to learn whether the network looks at colour at all.
     """
 
     threshold: float
     kernel: float
+    needs: str = "maps"
 
     def __post_init__(self) -> None:
         check_range("mapping.valid_threshold", self.threshold, 0.0, 1.0, open_low=True)
         check_range("mapping.valid_kernel", self.kernel, 0.0, 100.0, "m")
+        check_choice("evidence.needs", self.needs, ("maps", "maps_of_shuffled_rgb"))
 
-    def __call__(
-        self, views: Views, probabilities: Float32[np.ndarray, "n c v v"], setting: Setting
-    ) -> Statement:
-        seen = views["seen"][:, None]
-        epsilon = kernel_cells(self.kernel, setting.ego.resolution)
-        valid = neighbourhood(probabilities >= self.threshold, seen, epsilon)
-        return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen)
+    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
+        seen, resolution = views["seen"][:, None], setting.ego.resolution
+        return valid_imagination(predictions[self.needs], seen, self.threshold, self.kernel, resolution)
+
+
+@dataclass(frozen=True)
+class ImaginableArea:
+    """Where anything can be imagined, V_filter = dilation(V_object ∘ V_seen, delta), made from the truth.
+
+    With the finish `truth` it becomes the oracle: a unit that answers each view with its label, V_label, and loses
+    nothing when views are registered.
+
+    Attributes:
+        kernel: delta, metres.
+    """
+
+    kernel: float
+    needs: ClassVar[None] = None
+
+    def __post_init__(self) -> None:
+        check_range("kernels.imaginable", self.kernel, 0.0, 100.0, "m")
+
+    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
+        delta = kernel_cells(self.kernel, setting.ego.resolution)
+        mask = imaginable_mask(views["object"][:, setting.layers], views["seen"][:, None], delta)
+        return Statement(mask.astype(np.float32), mask)
 
 
 @dataclass(frozen=True)
@@ -133,7 +168,8 @@ class Approach:
     Attributes:
         evidence: what it says about a view.
         rule: how the statements of successive views are put together.
-        finish: what is done to the map once its threshold is applied: keep (nothing), close (gaps) or grow.
+        finish: what is done to the map once its threshold is applied: keep (nothing), close (gaps), grow, or truth
+            (what is not in the truth is removed: for upper bounds).
         kernels: candidates for closing or growing, metres; the best on validation homes is taken.
     """
 
@@ -143,7 +179,7 @@ class Approach:
     kernels: Sequence[float] = (0.0,)
 
     def __post_init__(self) -> None:
-        check_choice("approach.finish", self.finish, ("keep", "close", "grow"))
+        check_choice("approach.finish", self.finish, ("keep", "close", "grow", "truth"))
         for kernel in self.kernels:
             check_range("approach.kernels", kernel, 0.0, 10.0, "m")
         check_range("approach.kernels", len(self.kernels), 1, 1000, "candidates")
@@ -154,12 +190,18 @@ class Approach:
         return self.evidence, self.rule
 
     def finished(
-        self, score: Float32[np.ndarray, "h w"], kernel: float, resolution: float
+        self,
+        score: Float32[np.ndarray, "h w"],
+        truth: Bool[np.ndarray, "h w"],
+        kernel: float,
+        resolution: float,
     ) -> Float32[np.ndarray, "h w"]:
         """The score whose thresholding equals thresholding first and finishing then.
 
         That order does not matter, since a dilation or erosion with a flat kernel takes the largest or smallest score.
         """
+        if self.finish == "truth":
+            return np.where(truth, score, np.float32(0))
         cells = kernel_cells(kernel, resolution) if kernel > 0 else 1
         if self.finish == "keep" or cells == 1:
             return score

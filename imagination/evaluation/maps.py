@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from imagination.evaluation.approaches import Approach, Setting
+from imagination.evaluation.approaches import Approach, Predictions, Setting
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
 from imagination.ground_truth.maps import GroundTruth
 from imagination.mapping.mapper import Mapper
+from imagination.mapping.registration import Max
 from imagination.views.collector import Views
 
 
@@ -59,7 +60,7 @@ def area_of(
 
 def score_maps(
     views: Views,
-    probabilities: Float32[np.ndarray, "n c v v"],
+    predictions: Predictions,
     approaches: Mapping[str, Approach],
     setting: Setting,
     grid: Grid,
@@ -69,7 +70,7 @@ def score_maps(
 
     Args:
         views: of one run.
-        probabilities: the network's answer to each.
+        predictions: the networks' answers to each.
         approaches: those with the same evidence and rule share one map.
         setting: camera, grid and categories.
         grid: of the maps.
@@ -79,10 +80,21 @@ def score_maps(
     for approach in approaches.values():
         if approach.map_key in by_key:
             continue
-        statement = approach.evidence(views, probabilities, setting)
+        statement = approach.evidence(views, predictions, setting)
         mapper = Mapper(grid, setting.ego, setting.categories, approach.rule)
         for index in order.tolist():
             pose = Pose(*views["pose"][index].tolist())
-            mapper.register(statement.values[index], statement.mask[index], pose)
+            imagined = None if statement.imagined is None else statement.imagined[index]
+            mapper.register(statement.values[index], statement.mask[index], pose, imagined)
         by_key[approach.map_key] = mapper.probabilities
     return {name: by_key[approach.map_key] for name, approach in approaches.items()}
+
+
+def seen_map(views: Views, ego: EgoGrid, grid: Grid) -> Bool[np.ndarray, "h w"]:
+    """The global cells that a view saw: V_seen of all views, registered."""
+    mapper = Mapper(grid, ego, ["seen"], Max())
+    everywhere = np.ones((1, ego.cells, ego.cells), np.float32)
+    for seen, pose in zip(views["seen"], views["pose"], strict=True):
+        mapper.register(everywhere, seen[None], Pose(*pose.tolist()))
+    seen_cells: Bool[np.ndarray, "h w"] = mapper.probabilities[0] > 0
+    return seen_cells

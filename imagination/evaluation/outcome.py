@@ -21,8 +21,8 @@ class Key(NamedTuple):
     cell_width: float
 
 
-Counts = dict[Key, list[Int64[np.ndarray, "3"]]]
-"""Correct, false and truth pixels of each run, in the order of runs."""
+Counts = dict[Key, Int64[np.ndarray, "homes sets 3"]]
+"""Correct, false and truth pixels of every run of the homes that contain the category."""
 
 
 class Example(NamedTuple):
@@ -49,18 +49,23 @@ class Report(NamedTuple):
     """What was measured.
 
     Attributes:
-        counts: correct, false and truth pixels of every run of the homes that contain the category.
+        counts: of whole maps.
         shuffled: the same with the views of each run registered in a random order.
         choices: threshold and kernel of each approach and category.
         homes, left_out: for each category, the homes that contain it and those that do not.
         examples: maps of the first viewpoint set of each category's first home, one for each cell width.
         snap_distances: how far each viewpoint of each run was moved to free space, metres.
+        seen: counts in the cells alone that a view of the run saw.
+        first_person: IoU of the predicted segmentation of the runs' images, pooled over them, for each category; empty
+            without a segmentation network.
     """
 
-    counts: dict[Key, Int64[np.ndarray, "homes sets 3"]]
-    shuffled: dict[Key, Int64[np.ndarray, "homes sets 3"]]
+    counts: Counts
+    shuffled: Counts
     choices: Choices
     homes: dict[str, list[str]]
     left_out: dict[str, list[str]]
     examples: list[Example]
     snap_distances: list[Float64[np.ndarray, " n"]]
+    seen: Counts
+    first_person: dict[str, float]

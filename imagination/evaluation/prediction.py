@@ -1,40 +1,126 @@
-"""What the units say about views: the bridge from NumPy's evaluation to torch's networks."""
+"""What networks say about views: the bridge from NumPy's evaluation to torch's networks."""
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Collection, Sequence
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float32
-from torch import Tensor
+from jaxtyping import Float32, UInt8
+from torch import Tensor, nn
 
+from imagination.cache import code_version
 from imagination.data.batches import Batch, observations
+from imagination.errors import UserError
+from imagination.evaluation.approaches import Predictions
 from imagination.views.collector import Views
+
+PACKAGES = ("units", "baselines", "mapping")
+"""Whose code decides, beside that of the cache's makers, what an evaluation finds."""
 
 
 @runtime_checkable
 class Model(Protocol):
     """A trained unit, as UnitTraining is one."""
 
+    categories: list[str]
+
     def predict(self, batch: Batch) -> Tensor:
         """Probabilities of the unit's categories, (B, C, V, V)."""
 
 
+@runtime_checkable
+class Segmenter(Protocol):
+    """A network for first-person segmentation, as SegmentationTraining is one."""
+
+    categories: list[str]
+
+    def segment(self, rgb: Tensor, rows: int, columns: int) -> Tensor:
+        """The class of each pixel, (B, `rows`, `columns`): 0 for none, else the category's place + 1."""
+
+
 class Predictor:
-    """Predicts the categories of several units side by side, the paper's imagination module.
+    """The networks of an evaluation: units side by side, the paper's imagination module, and a segmentation network.
 
     Args:
-        models: of one or more categories each, in the order of the categories evaluated.
+        models: units and at most one segmentation network; each category comes from the unit that has it.
+        categories: that are evaluated.
+        table: names of the category table's rows, which images of categories are indices into.
         batch_size: views predicted at once.
+
+    Raises:
+        UserError: if a category that is evaluated comes from none or several of the networks of a kind.
     """
 
-    def __init__(self, models: Sequence[Model], batch_size: int) -> None:
+    def __init__(
+        self,
+        models: Sequence[Model | Segmenter],
+        categories: Sequence[str],
+        table: Sequence[str],
+        batch_size: int,
+    ) -> None:
         self.models = list(models)
+        self.units = [model for model in models if isinstance(model, Model)]
+        self.segmenters = [model for model in models if isinstance(model, Segmenter)]
         self.batch_size = batch_size
+        held = [name for unit in self.units for name in unit.categories]
+        for name in categories:
+            if self.units and held.count(name) != 1:
+                raise UserError(
+                    f"category {name!r}: got {held.count(name)} units that imagine it, expected one"
+                )
+            if any(name not in segmenter.categories for segmenter in self.segmenters):
+                raise UserError(f"category {name!r}: the segmentation network does not know it")
+        if len(self.segmenters) > 1:
+            raise UserError(f"got {len(self.segmenters)} segmentation networks, expected one at most")
+        self._order = [held.index(name) for name in categories] if self.units else []
+        # from a segmentation network's classes to indices of the table
+        self._rows = [
+            np.array(
+                [0, *(table.index(name) + 1 if name in table else 0 for name in segmenter.categories)],
+                np.uint8,
+            )
+            for segmenter in self.segmenters
+        ]
+
+    @property
+    def gives(self) -> frozenset[str]:
+        """Which of `NEEDS` it fulfils."""
+        maps = {"maps", "maps_of_shuffled_rgb"} if self.units else set()
+        return frozenset(maps | ({"images"} if self.segmenters else set()))
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Changes with the weights, the categories and the code that makes predictions and maps of them."""
+        digest = hashlib.sha256(code_version(PACKAGES).encode())
+        for model in self.models:
+            digest.update(repr((type(model).__qualname__, model.categories)).encode())
+            assert isinstance(model, nn.Module)
+            for name, tensor in model.state_dict().items():
+                digest.update(name.encode())
+                digest.update(
+                    tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes()
+                )
+        return digest.hexdigest()
 
     @torch.inference_mode()
-    def __call__(self, views: Views) -> Float32[np.ndarray, "n c v v"]:
-        """Probabilities of all categories for each view."""
+    def __call__(self, views: Views, wanted: Collection[str]) -> Predictions:
+        """Those of `NEEDS` that are wanted, for each view."""
+        answers: Predictions = {}
+        if "maps" in wanted:
+            answers["maps"] = self._maps(views)
+        if "maps_of_shuffled_rgb" in wanted:
+            # each view gets the colours of the one half a round further on: of its own only if it is the only one
+            shift = (len(views["rgb"]) + 1) // 2
+            answers["maps_of_shuffled_rgb"] = self._maps(
+                {**views, "rgb": np.roll(views["rgb"], shift, axis=0)}
+            )
+        if "images" in wanted:
+            answers["images"] = self._images(views)
+        return answers
+
+    def _maps(self, views: Views) -> Float32[np.ndarray, "n c v v"]:
         chunks = []
         for start in range(0, len(views["pose"]), self.batch_size):
             part = {
@@ -42,5 +128,14 @@ class Predictor:
                 for name in ("rgb", "depth", "occupied", "seen")
             }
             batch = observations(part)
-            chunks.append(torch.cat([model.predict(batch).cpu() for model in self.models], dim=1).numpy())
+            maps = torch.cat([unit.predict(batch).cpu() for unit in self.units], dim=1)
+            chunks.append(maps[:, self._order].numpy())
+        return np.concatenate(chunks)
+
+    def _images(self, views: Views) -> UInt8[np.ndarray, "n h w"]:
+        (segmenter,), (rows,) = self.segmenters, self._rows
+        chunks = []
+        for start in range(0, len(views["pose"]), self.batch_size):
+            rgb = torch.from_numpy(views["rgb"][start : start + self.batch_size]).permute(0, 3, 1, 2)
+            chunks.append(rows[segmenter.segment(rgb, *views["depth"].shape[1:]).cpu().numpy()])
         return np.concatenate(chunks)

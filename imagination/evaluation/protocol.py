@@ -4,52 +4,64 @@ Thresholds and kernels are chosen on validation homes, then every home, cell wid
 is measured. Nothing here knows what kind of network predicts.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Int64
 
-from imagination.errors import UserError, check_range
-from imagination.evaluation.approaches import Approach, Setting
-from imagination.evaluation.maps import Area, area_of, score_maps
-from imagination.evaluation.metrics import count
+from imagination.errors import UserError, check_choice, check_range
+from imagination.evaluation.approaches import NEEDS, Approach, Predictions, Setting
+from imagination.evaluation.map_files import SavedMaps
+from imagination.evaluation.measuring import Arrays, Plan, maps_of, measure_run, tally_run
 from imagination.evaluation.outcome import Choices, Counts, Example, Key, Report
 from imagination.evaluation.runs import Looks, Run, render, runs_of, views_of
-from imagination.evaluation.selection import THRESHOLDS, choose, tally
+from imagination.evaluation.selection import THRESHOLDS, choose
 from imagination.progress import progress
 from imagination.views.collector import Views
 from imagination.views.pool import ScenePool
 
-Predict = Callable[[Views], Float32[np.ndarray, "n c v v"]]
-"""The network: probabilities of the evaluated categories for each view."""
+KIND = "evaluation_results"
+"""Name of finished runs in the cache."""
 
-Scores = dict[str, Float32[np.ndarray, "c h w"]]
-"""The map of each approach before its threshold."""
+COUNTED = "counts", "counts_shuffled", "counts_seen", "snap_distance", "first_person"
+"""What is kept of every run's arrays until all are there; its maps are not."""
+
+
+@runtime_checkable
+class Predict(Protocol):
+    """The networks, as `Predictor` holds them."""
+
+    @property
+    def gives(self) -> frozenset[str]:
+        """Which of `NEEDS` it fulfils."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with everything that its answers depend on, beside the views."""
+
+    def __call__(self, views: Views, wanted: Collection[str]) -> Predictions:
+        """Those of `NEEDS` that are wanted, for each view."""
 
 
 class Subject(NamedTuple):
     """What is evaluated, and on which homes' worker processes.
 
     Attributes:
-        pool: renders views; holds the observer.
+        pool: renders views and measures maps; holds the observer.
         setting: camera, grid and categories.
-        predict: the network.
+        predict: the networks.
+        keep: put what each run gave into the cache, so that an evaluation which stops goes on where it was.
     """
 
     pool: ScenePool
     setting: Setting
     predict: Predict
-
-
-class _RunMaps(NamedTuple):
-    run: Run
-    views: Views
-    probabilities: Float32[np.ndarray, "n c v v"]
-    area: Area
-    scores: Scores
+    keep: bool = True
 
 
 @dataclass(frozen=True)
@@ -63,6 +75,8 @@ class MappingProtocol:
         orientations: random headings at each viewpoint.
         seed: of viewpoints, headings, shuffling and bootstrap.
         resamples: of homes, for intervals.
+        only: names of the approaches to evaluate; None for all that the networks at hand suffice for.
+        known_homes: how many homes with furniture as in training, none of which is trained on, are measured as well.
     """
 
     approaches: Mapping[str, Approach]
@@ -71,6 +85,8 @@ class MappingProtocol:
     orientations: int
     seed: int
     resamples: int
+    only: Sequence[str] | None = None
+    known_homes: int = 0
 
     def __post_init__(self) -> None:
         check_range("evaluation.cell_widths", len(self.cell_widths), 1, 100, "widths")
@@ -79,7 +95,28 @@ class MappingProtocol:
         check_range("evaluation.viewpoint_sets", self.viewpoint_sets, 1, 10_000)
         check_range("evaluation.orientations", self.orientations, 1, 1000)
         check_range("evaluation.resamples", self.resamples, 10, 10_000_000)
+        check_range("evaluation.known_homes", self.known_homes, 0, 9999, "homes")
         check_range("evaluation.approaches", len(self.approaches), 1, 1000, "approaches")
+
+    def available(self, gives: Collection[str]) -> "MappingProtocol":
+        """The same with those of the approaches that the networks at hand suffice for.
+
+        Raises:
+            UserError: if an approach that `only` names needs another network, or none is left.
+        """
+        names = list(self.approaches) if self.only is None else list(self.only)
+        for name in names:
+            check_choice("evaluation.only", name, self.approaches)
+        needs = {name: self.approaches[name].evidence.needs for name in names}
+        lacking = [name for name, need in needs.items() if need is not None and need not in gives]
+        if lacking and (self.only is not None or len(lacking) == len(names)):
+            raise UserError(
+                f"evaluation.only: got {lacking[0]}, which needs {NEEDS[needs[lacking[0]] or '']}; add it "
+                "(ckpt=[one,other] takes several), or leave the approach out"
+            )
+        return replace(
+            self, approaches={name: self.approaches[name] for name in names if name not in lacking}
+        )
 
     def choose(self, subject: Subject, homes: Sequence[str], silent: bool = False) -> Choices:
         """Choose threshold and kernel of each approach by pooled IoU over all runs of `homes` together.
@@ -93,104 +130,145 @@ class MappingProtocol:
             for category in present
             for name, approach in self.approaches.items()
         }
-        for maps in self._maps(subject, homes, "global maps of validation homes", silent):
-            for layer, category in _layers(maps.run, present):
-                for name, approach in self.approaches.items():
-                    for index, kernel in enumerate(approach.kernels):
-                        score = approach.finished(maps.scores[name][layer], kernel, maps.area.grid.resolution)
-                        totals[name, category][index] += tally(score, maps.area.truth[layer], THRESHOLDS)
+        for run, tallies in self._each(
+            subject, homes, tally_run, (), "global maps of validation homes", silent
+        ):
+            for (name, category), total in totals.items():
+                if run.home in present[category]:
+                    total += tallies[name][subject.setting.categories.index(category)]
         return {
             (name, category): choose(tallies, self.approaches[name].kernels, THRESHOLDS)
             for (name, category), tallies in totals.items()
         }
 
     def measure(
-        self, subject: Subject, homes: Sequence[str], choices: Choices, silent: bool = False
+        self,
+        subject: Subject,
+        homes: Sequence[str],
+        choices: Choices,
+        silent: bool = False,
+        save: Callable[[SavedMaps], None] = lambda maps: None,
+        title: str = "global maps of test homes",
     ) -> Report:
         """Measure every approach on all runs of `homes`.
+
+        Args:
+            subject: what is measured.
+            homes: names of scenes.
+            choices: threshold and kernel of each approach and category.
+            silent: show no progress.
+            save: called with the maps of each run.
+            title: of the progress shown.
 
         Raises:
             UserError: if a category is in none of the homes.
         """
         present = homes_with(subject, homes)
-        rng = np.random.default_rng(self.seed)
-        counts: Counts = {
-            Key(*key): [] for key in product(self.approaches, present, map(float, self.cell_widths))
-        }
-        shuffled: Counts = {key: [] for key in counts}
+        plan, categories = self._plan(subject), subject.setting.categories
+        measured: list[tuple[Run, Arrays]] = []
         examples: list[Example] = []
-        snaps = []
-        for maps in self._maps(subject, homes, "global maps of test homes", silent):
-            run, area, poses = maps.run, maps.area, maps.views["pose"]
-            snaps.append(maps.views["snap_distance"])
-            in_random_order = self._scores(
-                maps.views, maps.probabilities, subject, area, rng.permutation(len(poses))
-            )
-            for layer, category in _layers(run, present):
-                predicted = self._predicted(maps.scores, choices, layer, category, area)
-                reordered = self._predicted(in_random_order, choices, layer, category, area)
-                for name in self.approaches:
-                    key = Key(name, category, run.cell_width)
-                    counts[key].append(count(predicted[name], area.truth[layer]))
-                    shuffled[key].append(count(reordered[name], area.truth[layer]))
-                if run.number == 0 and run.home == present[category][0]:
-                    shown = area.grid, area.occupied, area.truth[layer], predicted, poses
-                    examples.append(Example(run, category, *shown))
+        for run, arrays in self._each(subject, homes, measure_run, (choices,), title, silent):
+            maps = maps_of(run, plan, arrays)
+            save(maps.cropped())
+            measured.append((run, {name: arrays[name] for name in COUNTED}))
+            examples += [
+                _example(maps, layer)
+                for layer, category in enumerate(categories)
+                if run.number == 0 and run.home == present[category][0]
+            ]
         return Report(
-            self._by_home(counts),
-            self._by_home(shuffled),
+            self._by_key("counts", measured, categories, present),
+            self._by_key("counts_shuffled", measured, categories, present),
             choices,
             present,
             {category: [home for home in homes if home not in names] for category, names in present.items()},
             examples,
-            snaps,
+            [arrays["snap_distance"] for _, arrays in measured],
+            self._by_key("counts_seen", measured, categories, present),
+            _ratios(measured, categories) if "images" in plan.needs else {},
         )
 
-    def _maps(self, subject: Subject, homes: Sequence[str], title: str, silent: bool) -> Iterator[_RunMaps]:
-        """The maps of every run of `homes`: home by home, then by cell width and viewpoint set."""
-        runs, looks = (
-            runs_of(homes, self.cell_widths, self.viewpoint_sets),
-            Looks(self.seed, self.orientations),
-        )
-        render(subject.pool, runs, looks, silent)
-        observer, setting = subject.pool.observer, subject.setting
-        margin = max(kernel for approach in self.approaches.values() for kernel in approach.kernels)
-        for run in runs if silent else progress(runs, title):
-            views = views_of(observer, run, looks)
-            probabilities = self._predict(subject, views)
-            area = area_of(observer.truth(run.home), setting.layers, views["pose"], setting.ego, margin)
-            scores = self._scores(views, probabilities, subject, area, np.arange(len(views["pose"])))
-            yield _RunMaps(run, views, probabilities, area, scores)
-
-    def _predict(self, subject: Subject, views: Views) -> Float32[np.ndarray, "n c v v"]:
-        if len(views["pose"]):
-            return subject.predict(views)
-        size = subject.setting.ego.cells
-        return np.zeros((0, len(subject.setting.layers), size, size), np.float32)
-
-    def _scores(
+    def _by_key(
         self,
-        views: Views,
-        probabilities: Float32[np.ndarray, "n c v v"],
+        kind: str,
+        measured: Sequence[tuple[Run, Arrays]],
+        categories: Sequence[str],
+        present: Mapping[str, Sequence[str]],
+    ) -> Counts:
+        """Counts of one kind, of the homes that contain the category."""
+        counts = {}
+        for (place, name), (layer, category), width in product(
+            enumerate(self.approaches), enumerate(categories), map(float, self.cell_widths)
+        ):
+            rows = [
+                arrays[kind][place, layer]
+                for run, arrays in measured
+                if run.cell_width == width and run.home in present[category]
+            ]
+            counts[Key(name, category, width)] = np.stack(rows).reshape(-1, self.viewpoint_sets, 3)
+        return counts
+
+    def _plan(self, subject: Subject) -> Plan:
+        return Plan(self.approaches, subject.setting, Looks(self.seed, self.orientations))
+
+    def _each(
+        self,
         subject: Subject,
-        area: Area,
-        order: Int64[np.ndarray, " n"],
-    ) -> Scores:
-        return score_maps(views, probabilities, self.approaches, subject.setting, area.grid, order)
+        homes: Sequence[str],
+        task: Callable[..., Arrays],
+        arguments: tuple[Any, ...],
+        title: str,
+        silent: bool,
+    ) -> Iterator[tuple[Run, Arrays]]:
+        """What `task` gives of every run: home by home, then by cell width and viewpoint set.
 
-    def _predicted(
-        self, scores: Scores, choices: Choices, layer: int, category: str, area: Area
-    ) -> dict[str, Bool[np.ndarray, "h w"]]:
-        """The map of each approach, finished and thresholded as chosen."""
-        predicted = {}
-        for name, approach in self.approaches.items():
-            choice = choices[name, category]
-            score = approach.finished(scores[name][layer], choice.kernel, area.grid.resolution)
-            predicted[name] = score >= np.float32(choice.threshold)
-        return predicted
+        Networks predict here, the workers of the homes do the rest meanwhile. Finished runs are kept in the cache.
+        """
+        plan, runs = self._plan(subject), runs_of(homes, self.cell_widths, self.viewpoint_sets)
+        render(subject.pool, runs, plan.looks, silent)
+        observer, cache = subject.pool.observer, subject.pool.observer.cache
+        networks = subject.predict.fingerprint if subject.keep else ""
+        waiting: deque[tuple[dict[str, Any], Future[Arrays] | Arrays]] = deque()
 
-    def _by_home(self, counts: Counts) -> dict[Key, Int64[np.ndarray, "homes sets 3"]]:
-        return {key: np.stack(rows).reshape(-1, self.viewpoint_sets, 3) for key, rows in counts.items()}
+        def start(run: Run) -> tuple[dict[str, Any], Future[Arrays] | Arrays]:
+            own = {"task": task.__name__, "arguments": repr(arguments), "networks": networks}
+            key = {**own, **plan.key(observer, run)}
+            if subject.keep and (kept := cache.load(KIND, key)) is not None:
+                return key, kept
+            predictions = self._predict(subject, plan, views_of(observer, run, plan.looks))
+            return key, subject.pool.submit(task, run.home, run, plan, *arguments, predictions)
+
+        for place, run in enumerate(runs if silent else progress(runs, title)):
+            waiting.extend(map(start, runs[place + len(waiting) : place + 1 + subject.pool.ahead]))
+            key, result = waiting.popleft()
+            if isinstance(result, Future):
+                result = result.result()
+                if subject.keep:
+                    cache.store(KIND, key, result)
+            yield run, result
+
+    def _predict(self, subject: Subject, plan: Plan, views: Views) -> Predictions:
+        if len(views["pose"]):
+            return subject.predict(views, plan.needs)
+        size, setting = subject.setting.ego.cells, subject.setting
+        maps = np.zeros((0, len(setting.layers), size, size), np.float32)
+        return dict.fromkeys(NEEDS, maps) | {"images": views["categories"]}
+
+
+def _example(maps: SavedMaps, layer: int) -> Example:
+    """Maps of one category for figures."""
+    predicted = {name: maps.predicted[place, layer] for place, name in enumerate(maps.approaches)}
+    return Example(
+        maps.run, maps.categories[layer], maps.grid, maps.occupied, maps.truth[layer], predicted, maps.poses
+    )
+
+
+def _ratios(measured: Sequence[tuple[Run, Arrays]], categories: Sequence[str]) -> dict[str, float]:
+    """IoU of the predicted segmentation of all images, for each category."""
+    pixels = sum((arrays["first_person"] for _, arrays in measured), np.zeros((len(categories), 2), np.int64))
+    return {
+        name: both / max(either, 1) for name, (both, either) in zip(categories, pixels.tolist(), strict=True)
+    }
 
 
 def homes_with(subject: Subject, homes: Sequence[str]) -> dict[str, list[str]]:
@@ -211,8 +289,3 @@ def homes_with(subject: Subject, homes: Sequence[str]) -> dict[str, list[str]]:
                 f"({', '.join(homes[:5])}{' …' if len(homes) > 5 else ''}); choose another category or more homes"
             )
     return present
-
-
-def _layers(run: Run, present: Mapping[str, Sequence[str]]) -> Iterator[tuple[int, str]]:
-    """Layer and name of each category that the run's home contains."""
-    return ((layer, name) for layer, (name, homes) in enumerate(present.items()) if run.home in homes)

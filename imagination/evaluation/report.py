@@ -1,6 +1,7 @@
 """The written report of an evaluation: its tables as files, and beside them what a reader must know about them."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from math import degrees, isinf
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +14,9 @@ from imagination.evaluation.metrics import CONFIDENCE
 from imagination.evaluation.outcome import Report
 from imagination.evaluation.protocol import MappingProtocol
 from imagination.runs import write_text
+
+PROVENANCE = "provenance.json"
+"""In tables/: where the numbers come from."""
 
 
 class Provenance(NamedTuple):
@@ -33,12 +37,34 @@ class Provenance(NamedTuple):
     sensor: str
 
 
+class Beside(NamedTuple):
+    """Tables beside that of the maps.
+
+    Attributes:
+        training: what the networks were trained on and how well they do on single views.
+        known: the same approaches in homes with furniture as in training; None if there are none.
+    """
+
+    training: Sequence[tables.Row] = ()
+    known: Report | None = None
+
+
 def write(
-    folder: Path, report: Report, protocol: MappingProtocol, resolution: float, origin: Provenance
+    folder: Path,
+    report: Report,
+    protocol: MappingProtocol,
+    resolution: float,
+    origin: Provenance,
+    beside: Beside | None = None,
 ) -> None:
-    """Write mapping.csv, paired.csv, runs.csv and mapping.md into `folder`, each whole or not at all."""
+    """Write the tables into `folder`, each whole or not at all.
+
+    These are mapping.csv, paired.csv, runs.csv, mapping.md and provenance.json, and where there is something to say
+    training.csv and furniture.csv.
+    """
     mapping = tables.mapping_rows(report, protocol, resolution)
     paired = tables.paired_rows(report, protocol)
+    write_text(folder / PROVENANCE, json.dumps(origin._asdict(), indent=1) + "\n")
     write_text(folder / "mapping.csv", tables.to_csv(mapping))
     write_text(folder / "paired.csv", tables.to_csv(paired))
     write_text(folder / "runs.csv", tables.to_csv(tables.run_rows(report)))
@@ -47,6 +73,7 @@ def write(
         tables.to_markdown(mapping, tables.MAIN),
         _averages(report, protocol),
         *(_in_pairs(paired) if paired else []),
+        *_beside(folder, report, protocol, beside or Beside()),
         "## How it was made",
         _circumstances(mapping, report, protocol, origin),
     ]
@@ -97,6 +124,29 @@ def _in_pairs(paired: list[tables.Row]) -> list[str]:
     ]
 
 
+def _beside(folder: Path, report: Report, protocol: MappingProtocol, beside: Beside) -> list[str]:
+    """Write the tables beside that of the maps, and give their text."""
+    parts = []
+    if beside.training:
+        write_text(folder / "training.csv", tables.to_csv(beside.training))
+        parts += [
+            "## Networks",
+            tables.to_markdown(beside.training, list(beside.training[0])),
+            "Rounds, samples, distinct views and minutes of training; the best IoU of single views on validation homes "
+            "(of a unit's egocentric maps, of a segmentation network's images), and of the latter on the images that "
+            "are mapped here.",
+        ]
+    if beside.known is not None:
+        rows = tables.furniture_rows(report, beside.known, protocol)
+        write_text(folder / "furniture.csv", tables.to_csv(rows))
+        parts += [
+            "## Known and unseen furniture",
+            tables.to_markdown(rows, list(rows[0])),
+            "`known`: homes that were not trained on, with furniture drawn as training's; `unseen`: the test homes.",
+        ]
+    return parts
+
+
 def _circumstances(
     mapping: list[tables.Row], report: Report, protocol: MappingProtocol, origin: Provenance
 ) -> str:
@@ -105,7 +155,12 @@ def _circumstances(
     order = max(abs(float(row["iou_pooled"]) - float(row["iou_shuffled"])) for row in mapping)
     distances = np.concatenate(report.snap_distances)
     moved = distances.mean() if len(distances) else 0.0
-    finished = {"keep": "", "close": ", closed by {:g} m", "grow": ", grown by {:g} m"}
+    finished = {
+        "keep": "",
+        "close": ", closed by {:g} m",
+        "grow": ", grown by {:g} m",
+        "truth": " within the truth",
+    }
     chosen = "; ".join(
         f"{name} ({category}) threshold {choice.threshold:.2f}"
         + finished[protocol.approaches[name].finish].format(choice.kernel)

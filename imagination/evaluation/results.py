@@ -1,10 +1,11 @@
 """The full evaluation: from trained units to the tables and figures of a folder."""
 
+import logging
 import os
 import platform
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -13,11 +14,14 @@ import torch
 from rich.console import Console
 
 from imagination.data.datamodule import SceneData
-from imagination.evaluation import figures, report, tables
-from imagination.evaluation.approaches import Setting
-from imagination.evaluation.outcome import Report
-from imagination.evaluation.prediction import Model, Predictor
+from imagination.evaluation import credits, figures, map_files, report, single_views, tables
+from imagination.evaluation.approaches import NEEDS, Setting
+from imagination.evaluation.outcome import Choices, Report
+from imagination.evaluation.prediction import Model, Predictor, Segmenter
 from imagination.evaluation.protocol import MappingProtocol, Subject
+from imagination.scenes.scene import SpareHomes
+
+log = logging.getLogger(__name__)
 
 
 class Results(NamedTuple):
@@ -27,33 +31,57 @@ class Results(NamedTuple):
     rows: list[tables.Row]
 
 
-def subject_of(data: SceneData, models: Sequence[Model]) -> Subject:
-    """Trained units in the homes of their data; together they imagine its categories, in that order."""
+Describe = Callable[[Report], Sequence[tables.Row]]
+"""Makes the rows of training.csv."""
+
+
+def subject_of(data: SceneData, models: Sequence[Model | Segmenter], keep: bool = True) -> Subject:
+    """Trained networks in the homes of their data; units together imagine its categories."""
     observer = data.observer
     setting = Setting(
         observer.camera, observer.ego, data.layers, data.unit_categories, len(observer.categories)
     )
-    return Subject(data.pool, setting, Predictor(models, data.batch_size))
+    predictor = Predictor(models, data.unit_categories, observer.categories.names, data.batch_size)
+    return Subject(data.pool, setting, predictor, keep)
 
 
-def evaluate(protocol: MappingProtocol, data: SceneData, models: Sequence[Model], folder: Path) -> Results:
-    """Choose on validation homes, measure on test homes, write and show tables and figures.
+def evaluate(
+    protocol: MappingProtocol,
+    data: SceneData,
+    models: Sequence[Model | Segmenter],
+    folder: Path,
+    describe: Describe = lambda report: (),
+) -> Results:
+    """Choose on validation homes, measure on test homes, save maps, write and show tables and figures.
 
     Args:
-        protocol: of the evaluation.
+        protocol: of the evaluation; approaches that other networks are needed for are left out.
         data: homes and views.
-        models: trained units.
-        folder: tables/ and figures/ are made in it.
+        models: trained networks.
+        folder: tables/, figures/ and maps/ are made in it.
+        describe: rows on the networks' training, for the table beside that of the maps.
 
     Raises:
-        UserError: if a split contains none of a category, or the disk is full.
+        UserError: if a split contains none of a category, an approach that was asked for lacks its network, or the
+            disk is full.
     """
     start = perf_counter()
+    subject = subject_of(data, models)
+    asked, protocol = protocol, protocol.available(subject.predict.gives)
+    if left_out := [
+        name for name in asked.approaches if name not in protocol.approaches and asked.only is None
+    ]:
+        needed = {NEEDS[asked.approaches[name].evidence.needs or ""] for name in left_out}
+        log.info("Left out: %s, which would need %s", ", ".join(left_out), "; ".join(sorted(needed)))
     for split in ("val", "test"):
         data.survey(split)
-    subject = subject_of(data, models)
-    choices = protocol.choose(subject, data.observer.source.scenes("val"))
-    found = protocol.measure(subject, data.observer.source.scenes("test"), choices)
+    source = data.observer.source
+    choices = protocol.choose(subject, source.scenes("val"))
+    found = protocol.measure(
+        subject, source.scenes("test"), choices, save=lambda maps: map_files.save(folder, maps)
+    )
+    beside = report.Beside(describe(found), _known(protocol, subject, choices))
+    singles = single_views.measure(protocol, subject, source.scenes("test"), choices, data.imaginable)
     resolution = subject.setting.ego.resolution
     origin = report.Provenance(
         command_line(),
@@ -62,7 +90,9 @@ def evaluate(protocol: MappingProtocol, data: SceneData, models: Sequence[Model]
         perf_counter() - start,
         report.declared_sensor(subject.setting, protocol.approaches),
     )
-    report.write(folder / "tables", found, protocol, resolution, origin)
+    report.write(folder / "tables", found, protocol, resolution, origin, beside)
+    credits.write(folder / "tables", data.observer.source)
+    single_views.write(folder, singles)
     rows = tables.mapping_rows(found, protocol, resolution)
     figures.write(folder / "figures", found, rows)
     screen = Console()
@@ -70,6 +100,22 @@ def evaluate(protocol: MappingProtocol, data: SceneData, models: Sequence[Model]
     if paired := tables.paired_rows(found, protocol):
         screen.print(tables.to_screen(paired, "In pairs", tables.SCREEN_PAIRED))
     return Results(found, rows)
+
+
+def _known(protocol: MappingProtocol, subject: Subject, choices: Choices) -> Report | None:
+    """The same in homes with furniture as in training, none of which is trained on; None if none is asked for."""
+    if not protocol.known_homes:
+        return None
+    source = subject.pool.observer.source
+    if not isinstance(source, SpareHomes):
+        log.warning(
+            "evaluation.known_homes: the scene source %s has no homes like those of training beside them, so known "
+            "furniture is not compared with unseen",
+            source.name,
+        )
+        return None
+    homes = source.spare(protocol.known_homes)
+    return protocol.measure(subject, homes, choices, title="global maps of homes with known furniture")
 
 
 def command_line() -> str:

@@ -70,8 +70,7 @@ def render(pool: ScenePool, runs: Sequence[Run], looks: Looks, silent: bool) -> 
 def views_of(observer: Observer, run: Run, looks: Looks) -> Views:
     """The views of one run, in viewpoint order, then orientation.
 
-    Beside what `stack` gives: categories, the ground-truth segmentation of each image, and for each viewpoint
-    snap_distance, how far it was moved to free space, metres.
+    Beside what `stack` gives: for each viewpoint snap_distance, how far it was moved to free space, metres.
     """
     return observer.cache.get_or_build(KIND, looks.key(observer, run), lambda: _look(observer, run, looks))
 
@@ -95,7 +94,6 @@ def _look(observer: Observer, run: Run, looks: Looks) -> Views:
     ]
     x, y = observer.truth(run.home).points[0].tolist()
     somewhere = Pose(x, y, 0.0)  # gives the arrays of an empty set their shapes
-    seen = [observer.observe(run.home, pose, rng) for pose in poses or [somewhere]]
-    arrays = {**stack(seen), "categories": np.stack([view.categories for view in seen])}
+    arrays = stack([observer.observe(run.home, pose, rng) for pose in poses or [somewhere]])
     views = {name: values[: len(poses)] for name, values in arrays.items()}
     return {**views, "snap_distance": viewpoints.distance}

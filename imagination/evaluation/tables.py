@@ -72,6 +72,8 @@ def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -
                 "threshold": f"{choice.threshold:.2f}",
                 "kernel_m": f"{choice.kernel:g}",
                 "iou_shuffled": f"{pooled_iou(report.shuffled[key]):.4f}",
+                "iou_seen": f"{pooled_iou(report.seen[key]):.4f}",
+                "iou_unseen": f"{pooled_iou(counts - report.seen[key]):.4f}",
             }
         )
     return rows
@@ -118,6 +120,24 @@ def run_rows(report: Report) -> list[Row]:
         for place, home in enumerate(report.homes[key.category])
         for number in range(counts.shape[1])
     ]
+
+
+def furniture_rows(unseen: Report, known: Report, protocol: MappingProtocol) -> list[Row]:
+    """Pooled IoU in homes with furniture as in training, none of them trained on, and in test homes, with intervals."""
+    rows = []
+    for key, counts in known.counts.items():
+        row = {"approach": key.approach, "category": key.category, "cell_width": f"{key.cell_width:g}"}
+        for name, of_homes in (("known", counts), ("unseen", unseen.counts[key])):
+            draws = resample(len(of_homes), protocol.resamples, protocol.seed)
+            low, high = interval(bootstrap_iou(of_homes, draws))
+            row |= {
+                f"iou_{name}": f"{pooled_iou(of_homes):.4f}",
+                f"ci_low_{name}": f"{low:.4f}",
+                f"ci_high_{name}": f"{high:.4f}",
+                f"homes_{name}": str(len(of_homes)),
+            }
+        rows.append(row)
+    return rows
 
 
 def to_csv(rows: Sequence[Row]) -> str:

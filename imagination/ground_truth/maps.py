@@ -15,7 +15,7 @@ from imagination.geometry.grid import Grid
 from imagination.geometry.morphology import dilate, kernel_cells
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import Band, splat
-from imagination.scenes.renderer import Renderer
+from imagination.scenes.renderer import SceneRenderer
 from imagination.scenes.scene import FreeSpace, OrientedBox, Scene, SceneObject
 
 log = logging.getLogger(__name__)
@@ -77,7 +77,9 @@ class GroundTruth(NamedTuple):
         return cls(Grid(resolution, rows, columns, (x, y)), *(arrays[name] for name in cls._fields[1:]))
 
 
-def build(scene: Scene, renderer: Renderer, spec: GroundTruthSpec, categories: CategoryTable) -> GroundTruth:
+def build(
+    scene: Scene, renderer: SceneRenderer, spec: GroundTruthSpec, categories: CategoryTable
+) -> GroundTruth:
     """Make the maps of a scene, for all categories of the table.
 
     Warns about every object of a category that has no cell in M_gt: nothing of it was seen at the obstacles' heights.
@@ -160,7 +162,7 @@ def _grid_for(scene: Scene, spec: GroundTruthSpec) -> Grid:
 
 def _look_around(
     scene: Scene,
-    renderer: Renderer,
+    renderer: SceneRenderer,
     spec: GroundTruthSpec,
     names: Sequence[str],
     grid: Grid,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -25,6 +25,8 @@ EMPTY, FREE, OCCUPIED = (255, 255, 255), (222, 236, 222), (150, 150, 150)
 
 MARGIN = 0.5
 """Of the map around the home, metres."""
+SMALL = 0.35
+"""Longest side of objects whose names are left out, metres."""
 
 
 class Look(NamedTuple):
@@ -56,14 +58,12 @@ def draw_scene(scene: Scene, truth: GroundTruth, categories: CategoryTable, look
     figure = _figure(13.0, 4.9)
     free, occupied, all_truth = figure.subplots(1, 3)
     _show_map(free, _paint(scene.free_space.mask, FREE), scene.free_space.grid, scene)
-    free.plot(*truth.points.T, ".", color="black", markersize=1.5)
+    free.plot(*truth.points.T, ".", color="black", markersize=1.0)
+    _name_objects(free, scene)
     free.set_title(f"free space and {len(truth.points)} points that look around", fontsize=9)
     _show_map(occupied, _paint(truth.occupied, OCCUPIED), truth.grid, scene)
     occupied.set_title("M_occu", fontsize=9)
-    image = _paint(truth.occupied, OCCUPIED)
-    for row, layer in zip(categories, truth.truth, strict=True):
-        image[layer] = row.colour
-    _show_map(all_truth, image, truth.grid, scene)
+    _show_truth(all_truth, scene, truth, categories)
     all_truth.set_title("M_gt of " + ", ".join(categories.names), fontsize=9)
     for number, look in enumerate(looks, start=1):
         x, y, theta = look.pose
@@ -162,11 +162,39 @@ def _show_map(
     for thing in scene.objects:
         if thing.category is not None and category in (None, thing.category):
             axes.add_patch(Polygon(thing.box.footprint(), fill=False, linewidth=0.6))
-    low, high = (
-        scene.mesh.vertices[:, :2].min(axis=0) - MARGIN,
-        scene.mesh.vertices[:, :2].max(axis=0) + MARGIN,
-    )
+    low, high = _reach(scene)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m", ylabel="y, m")
+
+
+def show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: CategoryTable) -> None:
+    """M_gt of all categories over M_occu, with the names of the objects."""
+    _show_truth(axes, scene, truth, categories)
+    _name_objects(axes, scene)
+
+
+def _show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: CategoryTable) -> None:
+    image = _paint(truth.occupied, OCCUPIED)
+    for row, layer in zip(categories, truth.truth, strict=True):
+        image[layer] = row.colour
+    _show_map(axes, image, truth.grid, scene)
+
+
+def _reach(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Smallest and largest x, y of what a map shows; a scene that brings its own renderer may have no mesh."""
+    places = scene.free_space.grid.to_points(np.argwhere(scene.free_space.mask))
+    boxes = [thing.box.footprint() for thing in scene.objects]
+    every = np.concatenate([places, *boxes, scene.mesh.vertices[:, :2]])
+    return every.min(axis=0) - MARGIN, every.max(axis=0) + MARGIN
+
+
+def _name_objects(axes: Axes, scene: Scene) -> None:
+    """The label of every object that is not small, at its middle."""
+    for thing in scene.objects:
+        if max(thing.box.size[:2]) > SMALL:
+            x, y, _ = thing.box.centre
+            axes.text(
+                x, y, thing.label.replace("_", "\n"), fontsize=3.5, ha="center", va="center", clip_on=True
+            )
 
 
 def _show_ego(axes: Axes, image: UInt8[np.ndarray, "v v 3"], ego: EgoGrid) -> None:

@@ -15,11 +15,17 @@ from imagination.geometry.pose import Pose
 from imagination.mapping.registration import Rule
 
 BYTES_PER_CELL = 8
-"""A probability (float32) and the number of views that wrote the cell (int32)."""
+"""A probability (float32) and the number of views that wrote the cell (int32), negative while it was only imagined."""
+
+CHUNK = 128
+"""Cells by which a map grows at a time."""
 
 
 class Mapper:
     """A global map of probabilities, one layer for each category, that grows by registered views.
+
+    The first view that writes a cell is taken whole, and so is the first that sees one which was only imagined before:
+    by the rule alone, a wrong guess would outweigh what is seen afterwards (docs/conventions.md has the figures).
 
     A view changes only the cells of its own window, pulled by inverse mapping (values bilinear, masks nearest), so
     its cost depends on the egocentric map's size, never on the global map's.
@@ -53,12 +59,7 @@ class Mapper:
             raise UserError(
                 f"resolution: got {ego.resolution} m for views, {grid.resolution} m for the map, expected one for both"
             )
-        needed, there = len(categories) * grid.rows * grid.columns * BYTES_PER_CELL, physical_memory()
-        if needed > there:
-            raise UserError(
-                f"map of {len(categories)} x {grid.rows} x {grid.columns} cells: got {needed / 1e9:.1f} GB, expected "
-                f"at most this machine's {there / 1e9:.1f} GB; choose a coarser resolution or a smaller extent"
-            )
+        _check_size(len(categories), grid)
         self.grid, self.ego, self.categories, self.rule = grid, ego, list(categories), rule
         side = int(np.ceil(np.sqrt(2) * ego.cells)) + 1  # of the window of a view turned by 45 degrees
         most = len(categories) * side * side
@@ -66,7 +67,8 @@ class Mapper:
             np.empty(most, np.int64),  # flat index of each cell that a view touches
             np.empty(most, np.float32),  # its value in the view
             np.empty(most, np.float32),  # its value in the map
-            np.empty(most, np.int32),  # views that wrote it before
+            np.empty(most, np.int32),  # its count, see BYTES_PER_CELL
+            np.empty(most, np.bool_),  # the view imagines it, without seeing it
         )
         self.reset()
 
@@ -84,10 +86,14 @@ class Mapper:
     @property
     def written(self) -> Bool[np.ndarray, "c h w"]:
         """Cells that a view has written."""
-        return self._count > 0
+        return np.not_equal(self._count, 0)
 
     def register(
-        self, values: Float32[np.ndarray, "c v v"], mask: Bool[np.ndarray, "c v v"], pose: Pose
+        self,
+        values: Float32[np.ndarray, "c v v"],
+        mask: Bool[np.ndarray, "c v v"],
+        pose: Pose,
+        imagined: Bool[np.ndarray, "c v v"] | None = None,
     ) -> None:
         """Let one view have its say.
 
@@ -95,24 +101,68 @@ class Mapper:
             values: probabilities, 0 to 1.
             mask: cells about which the view has something to say; others stay as they are.
             pose: of the robot, from which the view was taken.
+            imagined: cells that the view has not seen; None if it saw all of `mask`.
 
         Raises:
             UserError: on wrong shapes or types, values that are not probabilities, or a pose that is not finite. The
                 map stays as it was.
         """
-        self._check(values, mask)
+        imagined = np.zeros_like(mask) if imagined is None else imagined
+        self._check(values, mask, imagined)
         to_grid = ego_to_grid(self.ego, self.grid, pose)
         window = _window(to_grid, self.ego, self.grid)
         layers = self._probabilities.reshape(-1), self._count.reshape(-1)
-        n = _pull(
-            values, mask, cv2.invertAffineTransform(to_grid), window, self.grid.shape, *layers, *self._touched
-        )
-        touched, new, old, count = (array[:n] for array in self._touched)
-        _push(*layers, touched, new, self.rule(old, new, count))
+        to_ego = cv2.invertAffineTransform(to_grid)
+        n = _pull(values, mask, imagined, to_ego, window, self.grid.shape, *layers, *self._touched)
+        touched, new, old, count, guessed = (array[:n] for array in self._touched)
+        _push(*layers, touched, new, self.rule(old, new, np.abs(count)), guessed)
 
-    def _check(self, values: np.ndarray, mask: np.ndarray) -> None:
+    def cover(self, pose: Pose) -> None:
+        """Let the map grow, by whole chunks, until it contains all that a view from `pose` may reach.
+
+        Raises:
+            UserError: if it would not fit in memory, or the pose is not finite. The map stays as it was.
+        """
+        low, high = _reach(ego_to_grid(self.ego, self.grid, pose), self.ego)
+        top, left = (max(0, -int(np.floor(side / CHUNK)) * CHUNK) for side in low)
+        beyond = high - np.array(self.grid.shape) + 1
+        bottom, right = (max(0, int(np.ceil(side / CHUNK)) * CHUNK) for side in beyond)
+        if not (top or bottom or left or right):
+            return
+        rows, columns = self.grid.rows + top + bottom, self.grid.columns + left + right
+        x, y = self.grid.origin
+        size = self.grid.resolution
+        grid = Grid(size, rows, columns, (x - left * size, y - bottom * size))
+        _check_size(len(self.categories), grid)
+        before, self.grid = (self._probabilities, self._count), grid
+        self.reset()
+        inside = np.s_[:, top : rows - bottom, left : columns - right]
+        self._probabilities[inside], self._count[inside] = before
+
+    def outside(self, mask: Bool[np.ndarray, "c v v"], pose: Pose) -> int:
+        """How many of a view's cells with something to say, counted once for all layers, lie outside the map."""
+        to_grid = ego_to_grid(self.ego, self.grid, pose)
+        low, high = _reach(to_grid, self.ego)
+        if (low >= 0).all() and (high < self.grid.shape).all():
+            return 0
+        cells = np.argwhere(mask.any(axis=0)) @ to_grid[:, :2].T + to_grid[:, 2]
+        return len(cells) - int(self.grid.inside(np.floor(cells + 0.5).astype(np.int64)).sum())
+
+    def write(self, layer: int, values: Float32[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> None:
+        """Start a layer from values that are known already, as if one view had written them.
+
+        Raises:
+            UserError: if the arrays have another shape than the grid.
+        """
+        if values.shape != self.grid.shape or known.shape != self.grid.shape:
+            raise UserError(f"layer: got shapes {values.shape} and {known.shape}, expected {self.grid.shape}")
+        self._probabilities[layer] = np.where(known, values, np.float32(0))
+        self._count[layer] = known
+
+    def _check(self, values: np.ndarray, mask: np.ndarray, imagined: np.ndarray) -> None:
         shape = len(self.categories), self.ego.cells, self.ego.cells
-        for name, array, dtype in (("values", values, np.float32), ("mask", mask, np.bool_)):
+        given = (("values", values, np.float32), ("mask", mask, np.bool_), ("imagined", imagined, np.bool_))
+        for name, array, dtype in given:
             if array.shape != shape or array.dtype != dtype:
                 wanted = np.dtype(dtype).name
                 raise UserError(
@@ -130,12 +180,29 @@ def physical_memory() -> int:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def _window(to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid, grid: Grid) -> tuple[int, int, int, int]:
-    """First and last row, first and last column of the global cells whose centres a view may cover."""
+def _check_size(layers: int, grid: Grid) -> None:
+    needed, there = layers * grid.rows * grid.columns * BYTES_PER_CELL, physical_memory()
+    if needed > there:
+        raise UserError(
+            f"map of {layers} x {grid.rows} x {grid.columns} cells: got {needed / 1e9:.1f} GB, expected "
+            f"at most this machine's {there / 1e9:.1f} GB; choose a coarser resolution or a smaller extent"
+        )
+
+
+def _reach(
+    to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid
+) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
+    """Lowest and highest global row and column of cells whose centres a view may cover."""
     low, high = -0.5, ego.cells - 0.5
     corners = to_grid @ np.array([[low, low, high, high], [low, high, low, high], [1.0, 1.0, 1.0, 1.0]])
-    first = np.clip(np.ceil(corners.min(axis=1)), 0, grid.shape)
-    last = np.clip(np.floor(corners.max(axis=1)), -1, np.array(grid.shape) - 1)
+    return np.ceil(corners.min(axis=1)), np.floor(corners.max(axis=1))
+
+
+def _window(to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid, grid: Grid) -> tuple[int, int, int, int]:
+    """First and last row, first and last column of the global cells whose centres a view may cover."""
+    low, high = _reach(to_grid, ego)
+    first = np.clip(low, 0, grid.shape)
+    last = np.clip(high, -1, np.array(grid.shape) - 1)
     return int(first[0]), int(last[0]), int(first[1]), int(last[1])
 
 
@@ -143,6 +210,7 @@ def _window(to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid, grid: Grid) -> tu
 def _pull(
     values: Float32[np.ndarray, "c v v"],
     mask: Bool[np.ndarray, "c v v"],
+    imagined: Bool[np.ndarray, "c v v"],
     to_ego: Float64[np.ndarray, "2 3"],
     window: tuple[int, int, int, int],
     shape: tuple[int, int],
@@ -152,8 +220,9 @@ def _pull(
     new: Float32[np.ndarray, " n"],
     old: Float32[np.ndarray, " n"],
     count: Int32[np.ndarray, " n"],
+    guessed: Bool[np.ndarray, " n"],
 ) -> int:
-    """List the cells that the view touches: flat index, value in the view, in the map, writes; returns how many.
+    """List the cells that the view touches: index, value in the view, in the map, count, unseen; returns how many.
 
     The mask comes from the nearest egocentric cell, the value from the four nearest; beyond the rim the rim goes on.
     """
@@ -179,6 +248,7 @@ def _pull(
                     cell = (k * shape[0] + row) * shape[1] + column
                     touched[n], old[n], count[n] = cell, probabilities[cell], counts[cell]
                     new[n] = upper + down_share * (lower - upper)
+                    guessed[n] = imagined[k, nearest_r, nearest_c]
                     n += 1
     return n
 
@@ -190,9 +260,15 @@ def _push(
     touched: Int64[np.ndarray, " n"],
     new: Float32[np.ndarray, " n"],
     merged: Float32[np.ndarray, " n"],
+    guessed: Bool[np.ndarray, " n"],
 ) -> None:
-    """Write merged values, or new ones whole where nothing was written before, and count the write."""
+    """Write merged values, or new ones whole where nothing was written, or only imagined and now seen; count."""
     for n in range(touched.size):
-        cell = touched[n]
-        probabilities[cell] = merged[n] if counts[cell] > 0 else new[n]
-        counts[cell] += 1
+        cell = np.uint64(touched[n])  # unsigned: numba need not look for indices from the end
+        count = counts[cell]
+        first_sighting = not guessed[n] and count <= 0
+        probabilities[cell] = new[n] if first_sighting or count == 0 else merged[n]
+        if first_sighting:
+            counts[cell] = 1
+        else:
+            counts[cell] = count + 1 if count > 0 else count - 1

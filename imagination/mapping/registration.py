@@ -1,7 +1,8 @@
 """Registration rules: what becomes of a cell that was written before when a view has something to say about it.
 
 A rule works on the values of the cells that one view touches, as flat arrays, and knows nothing of maps or windows. The
-first write of a cell is taken whole whatever the rule, by the mapper. A new rule is any callable of the same form.
+first write of a cell, and its first sighting, are taken whole whatever the rule, by the mapper. A new rule is any
+callable of the same form.
 """
 
 from dataclasses import dataclass

@@ -53,10 +53,9 @@ def free_space(
             "check the scene's floor height and that z points up"
         )
     grid = _grid_around(floor, resolution)
-    on_floor, blocked = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool)
-    origin = np.array(grid.origin)
-    _mark(floor, origin, resolution, -np.inf, np.inf, True, on_floor)
-    _mark(corners, origin, resolution, floor_height + low, floor_height + high, False, blocked)
+    on_floor = np.zeros(grid.shape, bool)
+    _mark(floor, np.array(grid.origin), resolution, -np.inf, np.inf, True, on_floor)
+    blocked = cells_below(corners, grid, floor_height + low, floor_height + high)
     free = _largest_part(on_floor & _clear_of(blocked, robot_radius / resolution))
     if not free.any():
         raise UserError(
@@ -64,6 +63,15 @@ def free_space(
             f"{on_floor.sum() * resolution**2:.1f} m2 of floor; choose a smaller radius or another scene"
         )
     return FreeSpace(grid, free)
+
+
+def cells_below(
+    corners: Float32[np.ndarray, "m 3 3"], grid: Grid, low: float, high: float
+) -> Bool[np.ndarray, "h w"]:
+    """The cells of a grid that lie under any part of the triangles between two heights, metres."""
+    cells = np.zeros(grid.shape, bool)
+    _mark(corners, np.array(grid.origin), grid.resolution, low, high, False, cells)
+    return cells
 
 
 def _is_floor(

@@ -3,7 +3,7 @@
 One renderer uses one core; run a process a core. The same scene and camera always give the same image.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32, Int32, UInt8
 from imagination.compiled import compiled
 from imagination.errors import UserError
 from imagination.geometry.camera import Camera
-from imagination.scenes.scene import Lighting, Material, Mesh
+from imagination.scenes.scene import Lighting, Material, Mesh, Scene
 
 
 class Image(NamedTuple):
@@ -28,6 +28,14 @@ class Image(NamedTuple):
     rgb: UInt8[np.ndarray, "h w 3"]
     depth: Float32[np.ndarray, "h w"]
     instance: Int32[np.ndarray, "h w"]
+
+
+@runtime_checkable
+class SceneRenderer(Protocol):
+    """Renders one scene."""
+
+    def render(self, camera: Camera, camera_to_world: Float[np.ndarray, "4 4"]) -> Image:
+        """What `camera` sees from a pose with six degrees of freedom, as `Renderer.render` gives it."""
 
 
 class _Atlas(NamedTuple):
@@ -110,6 +118,13 @@ class Renderer:
             image.instance.reshape(-1),
         )
         return image
+
+
+def renderer_of(scene: Scene) -> SceneRenderer:
+    """The scene's own renderer if it brings one, else the ray caster of its mesh."""
+    if scene.renderer is not None:
+        return cast(SceneRenderer, scene.renderer)
+    return Renderer(scene.mesh, scene.lighting)
 
 
 def _check(mesh: Mesh) -> None:

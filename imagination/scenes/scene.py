@@ -118,6 +118,7 @@ class Scene:
         free_space: where the robot may stand; never empty.
         floor_height: world z of the floor, metres.
         ceiling_height: world z of the ceiling, metres.
+        renderer: what draws the scene instead of the ray caster (`renderer.SceneRenderer`); the mesh may then be empty.
     """
 
     name: str
@@ -127,6 +128,7 @@ class Scene:
     free_space: FreeSpace
     floor_height: float = 0.0
     ceiling_height: float = 2.6
+    renderer: object = None
 
     def of_category(self, category: str) -> list[SceneObject]:
         """The objects of one category."""
@@ -139,6 +141,32 @@ class Scene:
             if thing.category is not None and thing.category in names:
                 table[thing.instance] = names.index(thing.category) + 1
         return table
+
+
+class Credit(NamedTuple):
+    """A model, or a data set, that somebody made.
+
+    Attributes:
+        split: whose scenes it may stand in.
+        label: what it is.
+        model: as `SceneObject.model` names it.
+        author, licence, origin: who made it, under which terms it may be used, where it comes from.
+    """
+
+    split: str
+    label: str
+    model: str
+    author: str
+    licence: str
+    origin: str
+
+
+@runtime_checkable
+class Credited(Protocol):
+    """A scene source whose scenes hold what others made: results name them."""
+
+    def credits(self) -> Sequence[Credit]:
+        """Everything that scenes are made of; may be empty."""
 
 
 @runtime_checkable
@@ -163,3 +191,15 @@ class SceneSource(Protocol):
 
     def fingerprint(self, scene: str) -> str:
         """A string that changes whenever what `load` returns changes; part of the keys of caches."""
+
+
+@runtime_checkable
+class SpareHomes(SceneSource, Protocol):
+    """A source with more homes like those of training, for learning how much unseen furniture costs."""
+
+    def spare(self, count: int) -> list[str]:
+        """Names of scenes that are furnished as training's and in no split.
+
+        Raises:
+            UserError: if there are not so many.
+        """

@@ -7,7 +7,7 @@ import timm
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
-from torch.nn.functional import interpolate
+from torch.nn.functional import avg_pool2d, interpolate
 
 from imagination.errors import UserError
 
@@ -24,23 +24,26 @@ class TimmEncoder(nn.Module):
     Args:
         name: of the model, as timm knows it.
         height, width: of the images, pixels.
+        shrink: the images are made smaller by this factor first, each pixel the mean of a square of that many a side.
         pretrained: start from timm's weights, which are downloaded once; otherwise from random ones.
 
     Attributes:
         channels: of the feature map.
 
     Raises:
-        UserError: if timm has no such model, it offers no feature maps or cannot take images of this size, or its
-            weights cannot be had.
+        UserError: if the images cannot be shrunk so, timm has no such model, it offers no feature maps or cannot
+            take images of this size, or its weights cannot be had.
     """
 
     mean: Tensor
     deviation: Tensor
 
-    def __init__(self, name: str, height: int, width: int, pretrained: bool = False) -> None:
+    def __init__(self, name: str, height: int, width: int, shrink: int = 1, pretrained: bool = False) -> None:
         super().__init__()
         check_name(name)
-        options = size_options(name, height, width)
+        check_shrink(shrink, height, width)
+        self.shrink = shrink
+        options = size_options(name, height // shrink, width // shrink)
         stages = early_stages(create(name, False, options).feature_info.reduction())
         self.model = create(name, pretrained, options | {"out_indices": stages})
         settings = timm.get_pretrained_cfg(name)
@@ -51,7 +54,8 @@ class TimmEncoder(nn.Module):
 
     def forward(self, rgb: UInt8[Tensor, "b 3 h w"]) -> Float[Tensor, "b c p q"]:
         """Features of the images: (B, `channels`, rows, columns)."""
-        maps = self.model((rgb - self.mean) / self.deviation)
+        images = avg_pool2d(rgb.float(), self.shrink) if self.shrink > 1 else rgb
+        maps = self.model((images - self.mean) / self.deviation)
         if str(getattr(self.model, "output_fmt", "NCHW")).endswith("NHWC"):
             maps = [features.permute(0, 3, 1, 2) for features in maps]
         size = maps[-1].shape[-2:]
@@ -92,6 +96,19 @@ def check_name(name: str) -> None:
         raise UserError(
             f"model.encoder.name: got {name!r}, expected a model of timm; "
             f"the closest names are: {', '.join(close) or '(none)'}; timm.list_models() lists all"
+        )
+
+
+def check_shrink(shrink: int, height: int, width: int) -> None:
+    """Refuse a factor that leaves pixels over.
+
+    Raises:
+        UserError: with the image's size.
+    """
+    if shrink < 1 or height % shrink or width % shrink:
+        raise UserError(
+            f"model.encoder.shrink: got {shrink}, expected a whole number from 1 that divides the image's sides, "
+            f"{height} and {width} pixels (scale.encoder_shrink)"
         )
 
 

@@ -1,13 +1,115 @@
-"""The paper's weighted binary cross-entropy (section III-B), on logits."""
+"""Losses on logits: the paper's weighted binary cross-entropy (section III-B), and cross-entropy with batch dice."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int64, UInt8
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
+from imagination.errors import check_range
 from imagination.ranks import ranks, sum_over_ranks
+
+
+class Result(NamedTuple):
+    """What a loss gives.
+
+    Attributes:
+        loss: whose gradients, averaged over ranks, are those of the whole batch.
+        parts: what it is made of, for the log.
+    """
+
+    loss: Float[Tensor, ""]
+    parts: dict[str, Tensor]
+
+
+@runtime_checkable
+class Loss(Protocol):
+    """How far imagined maps are from what they should be; categories add up.
+
+    Attributes:
+        in_parts: whether the loss of a batch is the sum of its parts', given the counts of the whole.
+    """
+
+    in_parts: ClassVar[bool]
+
+    def __call__(
+        self,
+        logits: Float[Tensor, "b c v v"],
+        label: UInt8[Tensor, "b c v v"],
+        neighbourhood: UInt8[Tensor, "b c v v"],
+        counts: Int64[Tensor, "3 c"] | None = None,
+    ) -> Result:
+        """The loss of a batch or, with `counts`, of a part of one; arguments as of `imagination_loss`."""
+
+
+@dataclass(frozen=True)
+class WeightedBCE:
+    """The paper's; see `imagination_loss`.
+
+    Attributes:
+        alpha_max, gamma_max: caps of the weights.
+
+    Raises:
+        UserError: if a cap is out of range.
+    """
+
+    in_parts = True
+    alpha_max: float = 30.0
+    gamma_max: float = 10.0
+
+    def __post_init__(self) -> None:
+        check_range("model.loss.alpha_max", self.alpha_max, 1, 10_000)
+        check_range("model.loss.gamma_max", self.gamma_max, 1, 10_000)
+
+    def __call__(
+        self,
+        logits: Float[Tensor, "b c v v"],
+        label: UInt8[Tensor, "b c v v"],
+        neighbourhood: UInt8[Tensor, "b c v v"],
+        counts: Int64[Tensor, "3 c"] | None = None,
+    ) -> Result:
+        loss, weights = imagination_loss(logits, label, neighbourhood, self.alpha_max, self.gamma_max, counts)
+        return Result(loss, {"w_alpha": weights.alpha.mean(), "w_gamma": weights.gamma.mean()})
+
+
+@dataclass(frozen=True)
+class BCEDice:
+    """Binary cross-entropy, the mean over all cells, plus the dice loss of the whole batch; not the paper's.
+
+    With p = σ(logits) and y = V_label, for each category by itself, sums over all cells of all views:
+
+        dice = 1 - 2 (Σ p y + 1) / (Σ p + Σ y + 2)
+
+    (Milletari et al. 2016, V-Net, with the squares in the denominator left out.) The batch is taken as one picture,
+    since a single view often has no label at all. The ones keep a batch without any label from having no gradient.
+
+    Its gradient at one view depends on what is imagined in all others, so it cannot be computed in parts.
+    """
+
+    in_parts = False
+
+    def __call__(
+        self,
+        logits: Float[Tensor, "b c v v"],
+        label: UInt8[Tensor, "b c v v"],
+        neighbourhood: UInt8[Tensor, "b c v v"],
+        counts: Int64[Tensor, "3 c"] | None = None,
+    ) -> Result:
+        assert counts is None, "dice has no parts"
+        target = (label > 0).float()
+        views = sum_over_ranks(torch.tensor(float(len(label)), device=label.device))
+        total = binary_cross_entropy_with_logits(logits.float(), target, reduction="sum")
+        bce = total * ranks() / (views * label.shape[-2] * label.shape[-1])
+        imagined = logits.float().sigmoid()
+        both, either = (
+            with_other_ranks(cells.sum(dim=(0, 2, 3))) for cells in (imagined * target, imagined + target)
+        )
+        dice = (1 - 2 * (both + 1) / (either + 2)).sum()
+        # every rank has the whole batch's dice, but gradients of its own views alone; the mean over ranks has all
+        loss = bce + dice + (ranks() - 1) * (dice - dice.detach())
+        return Result(loss, {"bce": bce.detach(), "dice": dice.detach()})
 
 
 class Weights(NamedTuple):
@@ -84,3 +186,8 @@ def batch_counts(
 def count(mask: Bool[Tensor, "b c v v"]) -> Int64[Tensor, " c"]:
     """Cells of a mask over the whole batch, by category."""
     return mask.sum(dim=(0, 2, 3))
+
+
+def with_other_ranks(sums: Tensor) -> Tensor:
+    """The sum of a tensor over all processes, with this one's gradients."""
+    return sums + (sum_over_ranks(sums.detach().clone()) - sums.detach())

@@ -19,12 +19,14 @@ class Returns(nn.Module):
     """
 
     rays: Tensor
+    mount_height: Tensor
 
     def __init__(self, camera: Camera, ego: EgoGrid) -> None:
         super().__init__()
         self.ego = ego
-        self.mount_height = camera.mount_height
         self.register_buffer("rays", torch.from_numpy(pixel_rays(camera)), persistent=False)
+        # a buffer, so that an exported unit can take that of the robot it runs on
+        self.register_buffer("mount_height", torch.tensor(camera.mount_height), persistent=False)
 
     def forward(
         self, depth: Float16[Tensor, "b 1 h w"], low: float, high: float

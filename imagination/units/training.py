@@ -11,11 +11,11 @@ from torch import Tensor
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
-from imagination.errors import check_range
+from imagination.errors import UserError, check_range
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import kernel_cells
 from imagination.ranks import ranks, sum_over_ranks
-from imagination.units.loss import imagination_loss
+from imagination.units.loss import Loss
 from imagination.units.metrics import THRESHOLDS, EgoScores, best_thresholds, named_scores
 from imagination.units.unit import Unit
 
@@ -26,21 +26,21 @@ neighbourhood (M*_seen made from the truth) uint8 (B, C, V, V); counts int64 (3,
 
 
 class UnitTraining(LightningModule):
-    """Trains a unit with the paper's loss and scores its egocentric maps.
+    """Trains a unit and scores its egocentric maps.
 
     Args:
         unit: the network.
+        loss: between its logits and the label, e.g. the paper's `WeightedBCE`.
         ego: grid of the maps.
         neighbourhood: side of the kernel ε of M*_seen, metres.
         optimizer: makes the optimiser, given parameters.
         scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
-        alpha_max, gamma_max: caps of the loss's weights.
         valid_threshold: τ_valid, for M*_seen after prediction.
         channels_last: keep images and weights channels-last in memory.
         compile: train with torch.compile, which needs a C++ compiler and some minutes.
 
     Raises:
-        UserError: if a cap or a threshold is out of range.
+        UserError: if the threshold is out of range; where training begins, if a loss without parts is to accumulate.
     """
 
     chosen: Tensor
@@ -48,12 +48,11 @@ class UnitTraining(LightningModule):
     def __init__(
         self,
         unit: Unit,
+        loss: Loss,
         ego: EgoGrid,
         neighbourhood: float,
         optimizer: Callable[..., Optimizer],
         scheduler: Callable[..., LRScheduler],
-        alpha_max: float = 30.0,
-        gamma_max: float = 10.0,
         valid_threshold: float = 0.5,
         channels_last: bool = True,
         compile: bool = False,
@@ -61,18 +60,17 @@ class UnitTraining(LightningModule):
         super().__init__()
         self.unit = unit.to(memory_format=torch.channels_last) if channels_last else unit
         self.compiled = compile
+        self.loss = loss
         self.categories: list[str] = list(unit.categories)
         self.optimizer = optimizer
         self.scheduler = scheduler
-        self.alpha_max = check_range("model.module.alpha_max", alpha_max, 1, 10_000)
-        self.gamma_max = check_range("model.module.gamma_max", gamma_max, 1, 10_000)
         check_range("model.module.valid_threshold", valid_threshold, 0, 1)
         kernel = kernel_cells(neighbourhood, ego.resolution)
         self.val_scores = EgoScores(len(self.categories), kernel, valid_threshold)
         self.test_scores = EgoScores(len(self.categories), kernel, valid_threshold)
         # which of THRESHOLDS each category's egocentric map takes, chosen at each validation; part of checkpoints
         self.register_buffer("chosen", torch.full((len(self.categories),), len(THRESHOLDS) // 2))
-        self._batch_start = 0.0
+        self._batch_end = 0.0
 
     def forward(self, batch: Batch) -> Float[Tensor, "b c v v"]:
         """Logits for a batch."""
@@ -90,24 +88,23 @@ class UnitTraining(LightningModule):
         return probabilities
 
     def setup(self, stage: str) -> None:
-        if self.compiled and stage == "fit":
+        if stage != "fit":
+            return
+        if (count := self.trainer.accumulate_grad_batches) > 1 and not self.loss.in_parts:
+            raise UserError(
+                f"scale.accumulate: got {count}, expected 1 for the loss {type(self.loss).__name__}, which compares "
+                "a batch as a whole; or take model/loss=weighted_bce"
+            )
+        if self.compiled:
             self.unit.compile()
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
-        loss, weights = imagination_loss(
-            self(batch),
-            batch["label"],
-            batch["neighbourhood"],
-            self.alpha_max,
-            self.gamma_max,
-            batch.get("counts"),
-        )
+        loss, parts = self.loss(self(batch), batch["label"], batch["neighbourhood"], batch.get("counts"))
         # Lightning takes the mean over the parts of an accumulated batch, whose losses add up
         loss = loss * self.trainer.accumulate_grad_batches
         values = {
             "loss": loss,
-            "w_alpha": weights.alpha.mean(),
-            "w_gamma": weights.gamma.mean(),
+            **parts,
             "empty_labels": (batch["label"].amax(dim=(2, 3)) == 0).float().mean(),
             "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"],
         }
@@ -118,12 +115,13 @@ class UnitTraining(LightningModule):
         )
         return loss
 
-    def on_train_batch_start(self, batch: Batch, index: int) -> None:
-        self._batch_start = perf_counter()
+    def on_train_epoch_start(self) -> None:
+        self._batch_end = perf_counter()  # what a round collects is not counted
 
     def on_train_batch_end(self, outputs: object, batch: Batch, index: int) -> None:
-        samples = len(batch["label"]) * ranks()
-        self.log("train/samples_per_second", samples / (perf_counter() - self._batch_start))
+        samples, now = len(batch["label"]) * ranks(), perf_counter()
+        self.log("train/samples_per_second", samples / (now - self._batch_end))  # drawing the batch included
+        self._batch_end = now
 
     def validation_step(self, batch: Batch, index: int) -> None:
         self._score(batch, "val", self.val_scores)
@@ -134,6 +132,7 @@ class UnitTraining(LightningModule):
     def on_validation_epoch_end(self) -> None:
         self.chosen.copy_(best_thresholds(self.val_scores.compute()))
         self.log("val/threshold", self.chosen_thresholds.mean())
+        self.log("step", float(self.trainer.global_step - 1))  # where loggers show it: the round's last step
         self._log_scores("val", self.val_scores)
 
     @property
@@ -150,9 +149,7 @@ class UnitTraining(LightningModule):
 
     def _score(self, batch: Batch, stage: str, scores: EgoScores) -> None:
         logits = self(batch).float()
-        loss, _ = imagination_loss(
-            logits, batch["label"], batch["neighbourhood"], self.alpha_max, self.gamma_max
-        )
+        loss, _ = self.loss(logits, batch["label"], batch["neighbourhood"])
         # every rank counts for as many views as all have: its loss is already scaled to its part of them
         views = sum_over_ranks(torch.tensor(len(logits), device=logits.device))
         self.log(f"{stage}/loss", loss, batch_size=int(views), sync_dist=True)

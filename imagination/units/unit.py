@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Float16, UInt8
 from torch import Tensor, nn
 
-from imagination.errors import UserError
+from imagination.errors import UserError, check_range
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.units.backbones import Backbone
@@ -60,10 +60,11 @@ class ImaginationUnit(Unit):
         camera: that takes the images.
         ego: grid of the maps.
         heights: bounds of the bands above the floor, ascending, metres; fewer than two give no band.
+        height_jitter: while training, the heights in a view are scaled by a random factor of 1 ± this.
         categories: what to imagine, one map each; the paper has one unit for each category.
 
     Raises:
-        UserError: if the heights do not ascend.
+        UserError: if the heights do not ascend or the jitter is out of range.
     """
 
     def __init__(
@@ -73,11 +74,12 @@ class ImaginationUnit(Unit):
         camera: Camera,
         ego: EgoGrid,
         heights: Sequence[float],
+        height_jitter: float,
         categories: Sequence[str],
     ) -> None:
         super().__init__(categories)
         self.encoder = encoder
-        self.bands = HeightBands(camera, ego, heights)
+        self.bands = HeightBands(camera, ego, heights, height_jitter)
         self.backbone = backbone(in_channels=2 + self.bands.count, image_channels=encoder.channels)
         self.head = prediction_head(self.backbone.width, len(categories))
 
@@ -97,8 +99,9 @@ class ImaginationUnit(Unit):
 class HeightBands(nn.Module):
     """The egocentric depth projection by height: which cells have a return in each band; see `ImaginationUnit`."""
 
-    def __init__(self, camera: Camera, ego: EgoGrid, heights: Sequence[float]) -> None:
+    def __init__(self, camera: Camera, ego: EgoGrid, heights: Sequence[float], jitter: float = 0.0) -> None:
         super().__init__()
+        self.jitter = check_range("model.unit.height_jitter", jitter, 0.0, 0.5)
         if list(heights) != sorted(set(heights)):
             raise UserError(f"scale.heights: got {list(heights)}, expected ascending metres, each once")
         self.heights = list(heights)
@@ -111,7 +114,12 @@ class HeightBands(nn.Module):
         size, count = self.ego.cells, self.count
         if not count:
             return depth.new_zeros(len(depth), 0, size, size, dtype=torch.float32)
-        cells, height = self.returns(depth, self.heights[0], self.heights[-1])
+        cells, height = self.returns(depth, *self._reach())
+        if self.training and self.jitter:
+            factor = 1 + self.jitter * (2 * torch.rand(len(height), 1, 1, device=height.device) - 1)
+            height = height * factor
+            inside = (height >= self.heights[0]) & (height <= self.heights[-1])
+            cells = torch.where(inside, cells, len(depth) * size**2)
         band = torch.bucketize(height, height.new_tensor(self.heights[1:-1]))
         marked = height.new_zeros(
             (len(depth) * size**2 + 1) * count
@@ -119,6 +127,11 @@ class HeightBands(nn.Module):
         marked[(cells * count + band).reshape(-1)] = 1
         maps: Tensor = marked.view(-1, count)[:-1].view(-1, size, size, count).permute(0, 3, 1, 2)
         return maps
+
+    def _reach(self) -> tuple[float, float]:
+        """Lowest and highest return that may come to lie in a band."""
+        jitter = self.jitter if self.training else 0.0
+        return self.heights[0] / (1 + jitter), self.heights[-1] / (1 - jitter)
 
 
 def prediction_head(width: int, categories: int) -> nn.Conv2d:

@@ -18,7 +18,7 @@ from imagination.views.pool import ScenePool
 from imagination.views.view import Observer, View, plain
 
 Views = dict[str, np.ndarray]
-"""Stacked views, compact: rgb uint8, depth float16, occupied, seen and object bool, pose float64."""
+"""Stacked views, compact: rgb and categories uint8, depth float16, occupied, seen and object bool, pose float64."""
 
 
 class Stream(IntEnum):
@@ -29,7 +29,8 @@ class Stream(IntEnum):
     HELD_OUT_VIEWS = 2
     BATCHES = 3
     VIEWPOINTS = 4
-    SHARDS = 5
+    REGISTRATION_ORDER = 5
+    SHARDS = 6
 
 
 PoseSampler = Callable[[Scene, int, np.random.Generator], list[Pose]]
@@ -40,6 +41,7 @@ def stack(views: Sequence[View]) -> Views:
     return {
         "rgb": np.stack([view.rgb for view in views]),
         "depth": np.stack([view.depth for view in views]).astype(np.float16),
+        "categories": np.stack([view.categories for view in views]),
         "occupied": np.stack([view.occupied for view in views]),
         "seen": np.stack([view.seen for view in views]),
         "object": np.stack([view.object for view in views]),

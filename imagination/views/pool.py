@@ -1,12 +1,14 @@
 """Worker processes for work on scenes: each scene has its own worker, which loads it once."""
 
+import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from multiprocessing import get_context, parent_process
-from signal import SIG_IGN, SIGINT, signal
+from contextlib import contextmanager
+from multiprocessing import get_context, parent_process, resource_tracker
+from signal import SIG_BLOCK, SIG_IGN, SIG_SETMASK, SIGINT, pthread_sigmask, signal
 from threading import Thread
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import cv2
 
@@ -39,6 +41,11 @@ class ScenePool:
         ]
         self._worker_of: dict[str, int] = {}
 
+    @property
+    def ahead(self) -> int:
+        """How many more tasks to submit than are waited for, so that no worker is idle."""
+        return 2 * len(self._workers)
+
     def submit(
         self,
         function: Callable[Concatenate[Observer, str, P], T],
@@ -47,25 +54,79 @@ class ScenePool:
         **kwargs: P.kwargs,
     ) -> "Future[T]":
         """Start `function(observer, scene, *args, **kwargs)`; it must be importable from a module."""
+        future: Future[T] = Future()
         if self._workers:
             owner = self._worker_of.setdefault(scene, len(self._worker_of) % len(self._workers))
-            return self._workers[owner].submit(_call, function, scene, args, kwargs)
-        future: Future[T] = Future()
-        future.set_result(function(self.observer, scene, *args, **kwargs))
+            with _no_interrupt():  # the first call starts the process
+                answer = self._workers[owner].submit(_call, function, scene, args, kwargs)
+            answer.add_done_callback(lambda done: _deliver(done, future))
+        else:
+            future.set_result(function(self.observer, scene, *args, **kwargs))
         return future
 
     def close(self) -> None:
-        """Stop the workers; work that has not begun is dropped."""
+        """Stop the workers at once; work that has not ended is dropped."""
         for worker in self._workers:
+            for process in list((worker._processes or {}).values()):
+                process.kill()  # Python 3.14 has worker.kill_workers() for this
             worker.shutdown(wait=True, cancel_futures=True)
+
+
+class _Answer(NamedTuple):
+    """What a worker sends back: the result and what it logged meanwhile. An error carries its `records` itself."""
+
+    result: Any
+    records: list[logging.LogRecord]
+
+
+class _Records(logging.Handler):
+    """Keeps messages in a form that can be sent."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.kept: list[logging.LogRecord] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        record.msg, record.args, record.exc_info = self.format(record), None, None
+        self.kept.append(record)
+
+
+_records = _Records()  # of the worker process
+
+
+def _deliver(answer: "Future[_Answer]", future: "Future[Any]") -> None:
+    """Hand over what a worker sent: its messages go to the loggers of this process, and so to the run's log."""
+    if answer.cancelled():
+        future.cancel()
+        return
+    error = answer.exception()
+    for record in answer.result().records if error is None else vars(error).get("records", []):
+        logging.getLogger(record.name).handle(record)
+    if error is None:
+        future.set_result(answer.result().result)
+    else:
+        future.set_exception(error)
+
+
+@contextmanager
+def _no_interrupt() -> Iterator[None]:
+    """Processes started meanwhile never get Ctrl-C, which is for the main process; there it waits until the end."""
+    resource_tracker.ensure_running()  # starting it would let interrupts through again
+    before = pthread_sigmask(SIG_BLOCK, [SIGINT])
+    try:
+        yield
+    finally:
+        pthread_sigmask(SIG_SETMASK, before)
 
 
 def _start(observer: Observer) -> None:
     global _observer
     _observer = observer
     cv2.setNumThreads(1)  # one worker, one core
-    signal(SIGINT, SIG_IGN)  # Ctrl-C is for the main process, which stops its workers
+    signal(SIGINT, SIG_IGN)
     os.nice(5)  # training in the main process goes first
+    logging.getLogger().addHandler(_records)
+    logging.captureWarnings(True)
     Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -77,6 +138,11 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _call(function: Callable[..., T], scene: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> T:
+def _call(function: Callable[..., Any], scene: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> _Answer:
     assert _observer is not None
-    return function(_observer, scene, *args, **kwargs)
+    _records.kept = []
+    try:
+        return _Answer(function(_observer, scene, *args, **kwargs), _records.kept)
+    except Exception as error:
+        vars(error)["records"] = _records.kept
+        raise

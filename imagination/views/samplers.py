@@ -1,5 +1,6 @@
 """Where training looks: samplers of poses in a scene."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,16 +21,16 @@ class UniformPoses:
 
 @dataclass(frozen=True)
 class BalancedPoses:
-    """A share of the poses turned towards an object of one category nearby, the others uniform.
+    """A share of the poses turned towards an object nearby, the others uniform.
 
     Attributes:
-        category: what to look at.
+        categories: what to look at: objects of any of these.
         share: of the poses, 0 to 1.
         distance: farthest object looked at, metres.
         spread: half-width of the uniform error of the heading, radians.
     """
 
-    category: str
+    categories: Sequence[str]
     share: float = 0.5
     distance: float = 4.0
     spread: float = 0.6
@@ -40,7 +41,8 @@ class BalancedPoses:
         check_range("sampler.spread", self.spread, 0.0, np.pi, "rad")
 
     def __call__(self, scene: Scene, count: int, rng: np.random.Generator) -> list[Pose]:
-        centres = np.array([thing.box.centre[:2] for thing in scene.of_category(self.category)])
+        things = [thing for category in self.categories for thing in scene.of_category(category)]
+        centres = np.array([thing.box.centre[:2] for thing in things])
         poses = []
         for pose in sample_poses(scene.free_space, count, rng):
             turned = (

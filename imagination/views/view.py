@@ -15,7 +15,7 @@ from imagination.geometry.grid import EgoGrid
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import Band, project_depth
 from imagination.ground_truth.maps import GroundTruth, GroundTruthSpec, build
-from imagination.scenes.renderer import Image, Renderer
+from imagination.scenes.renderer import Image, SceneRenderer, renderer_of
 from imagination.scenes.scene import Scene, SceneSource
 
 Sensor = Callable[[Image, np.random.Generator], Image]
@@ -64,7 +64,7 @@ class Observer:
     truth_spec: GroundTruthSpec
     categories: CategoryTable
     cache: Cache
-    _loaded: dict[str, tuple[Scene, Renderer]] = field(
+    _loaded: dict[str, tuple[Scene, SceneRenderer]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
     _truths: dict[str, GroundTruth] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -114,10 +114,10 @@ class Observer:
         parts = {"camera": self.camera, "sensor": self.sensor, "ego": self.ego, "obstacles": self.obstacles}
         return {**self.truth_key(name), **{part: plain(value) for part, value in parts.items()}}
 
-    def _load(self, name: str) -> tuple[Scene, Renderer]:
+    def _load(self, name: str) -> tuple[Scene, SceneRenderer]:
         if name not in self._loaded:
             scene = self.source.load(name)
-            self._loaded[name] = scene, Renderer(scene.mesh, scene.lighting)
+            self._loaded[name] = scene, renderer_of(scene)
         return self._loaded[name]
 
     def _build_truth(self, name: str) -> dict[str, np.ndarray]:

@@ -1,6 +1,7 @@
 """A small evaluation without a network: hand-made rooms, and predictors that know the truth."""
 
-from collections.abc import Callable
+from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ from imagination.cache import Cache
 from imagination.categories import Category, CategoryTable
 from imagination.evaluation.approaches import (
     Approach,
+    ImaginableArea,
+    Predictions,
     ProjectedSegmentation,
     SeenPrediction,
     Setting,
@@ -29,12 +32,23 @@ from tests.sources import Rooms
 NAMES = ("chair", "bed", "table", "sofa")
 
 
-def perfect(layers: list[int]) -> Callable[[Views], np.ndarray]:
-    """Predicts the crop of the truth."""
-    return lambda views: views["object"][:, layers].astype(np.float32)
+@dataclass(frozen=True)
+class Perfect:
+    """Predicts the crop of the truth, and the true segmentation without its right half."""
+
+    layers: list[int]
+    gives: frozenset[str] = frozenset({"maps", "images"})
+    fingerprint: str = "perfect"
+
+    def __call__(self, views: Views, wanted: Collection[str]) -> Predictions:
+        images = views["categories"].copy()
+        images[:, :, images.shape[2] // 2 :] = 0
+        return {"maps": views["object"][:, self.layers].astype(np.float32), "images": images}
 
 
-def make_subject(folder: Path, categories: tuple[str, ...] = ("chair", "bed"), count: int = 2) -> Subject:
+def make_subject(
+    folder: Path, categories: tuple[str, ...] = ("chair", "bed"), count: int = 2, workers: int = 0
+) -> Subject:
     """Rooms at 0.1 m with a perfect predictor; no room holds a sofa."""
     camera = Camera(48, 48, np.pi / 2, 1.25)
     observer = Observer(
@@ -49,17 +63,19 @@ def make_subject(folder: Path, categories: tuple[str, ...] = ("chair", "bed"), c
     )
     layers = [NAMES.index(name) for name in categories]
     setting = Setting(camera, observer.ego, layers, list(categories), len(NAMES))
-    return Subject(ScenePool(observer, 0), setting, perfect(layers))
+    return Subject(ScenePool(observer, workers), setting, Perfect(layers))
 
 
 def make_protocol(**changes: object) -> MappingProtocol:
-    """All four approaches, at two cell widths, two viewpoint sets each."""
+    """All approaches, at two cell widths, two viewpoint sets each."""
     average = MovingAverage(0.9)
     approaches = {
         "seg_gt": Approach(ProjectedSegmentation(0.0, 2.6, np.inf), Max(), "close", (0.0, 0.3)),
+        "seg_hrnet": Approach(ProjectedSegmentation(0.0, 2.6, np.inf, True), Max(), "close", (0.0, 0.3)),
         "imagination_seen": Approach(SeenPrediction(), average),
         "seen_dilated": Approach(SeenPrediction(), average, "grow", (0.0, 0.3)),
         "imagination": Approach(ValidPrediction(0.5, 0.6), average),
+        "oracle": Approach(ImaginableArea(1.0), Max(), "truth"),
     }
     settings = {
         "cell_widths": [1.5, 1.0],

@@ -9,6 +9,7 @@ from hypothesis.extra.numpy import arrays
 from imagination.errors import UserError
 from imagination.evaluation.approaches import (
     Approach,
+    ImaginableArea,
     ProjectedSegmentation,
     SeenPrediction,
     Setting,
@@ -46,7 +47,7 @@ def seen_square() -> np.ndarray:
 
 def test_seen_prediction_writes_the_cells_it_saw() -> None:
     probabilities = np.full((1, 1, 9, 9), 0.7, np.float32)
-    values, mask = SeenPrediction()(one_view(seen_square()), probabilities, SETTING)
+    values, mask = SeenPrediction()(one_view(seen_square()), {"maps": probabilities}, SETTING)
     assert (mask[0, 0] == seen_square()).all()
     assert (values[mask] == np.float32(0.7)).all()
 
@@ -55,7 +56,7 @@ def test_valid_prediction_writes_what_it_saw_and_the_neighbourhood() -> None:
     probabilities = np.full((1, 1, 9, 9), 0.4, np.float32)
     probabilities[0, 0, 4, 5] = 0.5  # seen, and as sure as tau_valid asks
     probabilities[0, 0, 8, 8] = 0.9  # sure, but far from anything seen of an object
-    values, mask = ValidPrediction(0.5, 0.3)(one_view(seen_square()), probabilities, SETTING)
+    values, mask = ValidPrediction(0.5, 0.3)(one_view(seen_square()), {"maps": probabilities}, SETTING)
     near = np.zeros((9, 9), bool)
     near[3:6, 4:7] = True
     assert (mask[0, 0] == seen_square() | near).all()
@@ -64,7 +65,7 @@ def test_valid_prediction_writes_what_it_saw_and_the_neighbourhood() -> None:
 
 def test_a_view_that_sees_no_object_denies_what_it_saw() -> None:
     probabilities = np.full((1, 1, 9, 9), 0.49, np.float32)
-    values, mask = ValidPrediction(0.5, 0.3)(one_view(seen_square()), probabilities, SETTING)
+    values, mask = ValidPrediction(0.5, 0.3)(one_view(seen_square()), {"maps": probabilities}, SETTING)
     assert (mask[0, 0] == seen_square()).all()
     assert not values.any()
 
@@ -73,7 +74,7 @@ def test_segmentation_writes_returns_of_its_category_and_what_it_saw() -> None:
     view = one_view(seen_square())
     view["depth"][0, 8, 8], view["categories"][0, 8, 8] = 0.5, 2  # straight ahead: 0.5 m
     view["depth"][0, 8, 2], view["categories"][0, 8, 2] = 0.5, 1  # of another category
-    values, mask = ProjectedSegmentation(0.0, 2.0, np.inf)(view, np.zeros((1, 1, 9, 9), np.float32), SETTING)
+    values, mask = ProjectedSegmentation(0.0, 2.0, np.inf)(view, {}, SETTING)
     assert np.argwhere(values[0, 0]).tolist() == [[3, 4]]
     assert (mask[0, 0] == seen_square() | (values[0, 0] > 0)).all()
 
@@ -86,7 +87,7 @@ def test_segmentation_leaves_out_what_lies_beyond_its_band_or_range(
 ) -> None:
     view = one_view(seen_square())
     view["depth"][0, 8, 8], view["categories"][0, 8, 8] = 0.5, 2
-    values, _ = ProjectedSegmentation(low, high, max_range)(view, np.zeros((1, 1, 9, 9), np.float32), SETTING)
+    values, _ = ProjectedSegmentation(low, high, max_range)(view, {}, SETTING)
     assert not values.any()
 
 
@@ -99,15 +100,16 @@ def test_segmentation_leaves_out_what_lies_beyond_its_band_or_range(
 def test_finishing_the_score_is_finishing_the_thresholded_map(
     score: np.ndarray, threshold: float, kernel: float
 ) -> None:
-    thresholded = score >= threshold
+    thresholded, truth = score >= threshold, score[::-1] >= 0.5
     cells = max(1, round(kernel / 0.1))
     for finish, expected in (
         ("keep", thresholded),
         ("close", close(thresholded, cells)),
         ("grow", dilate(thresholded, cells)),
+        ("truth", thresholded & truth),
     ):
         approach = Approach(SeenPrediction(), Max(), finish, (kernel,))
-        assert ((approach.finished(score, kernel, 0.1) >= threshold) == expected).all()
+        assert ((approach.finished(score, truth, kernel, 0.1) >= threshold) == expected).all()
 
 
 def test_a_perfect_prediction_gives_a_perfect_map() -> None:
@@ -126,7 +128,7 @@ def test_a_perfect_prediction_gives_a_perfect_map() -> None:
     probabilities = np.stack([crop(truth[1:2], grid, pose, EGO) for pose in poses]).astype(np.float32)
     approaches = {"imagination": Approach(ValidPrediction(0.5, 0.3), MovingAverage(0.9))}
     area = area_of(maps, [1], views["pose"], EGO, 0.0)
-    scores = score_maps(views, probabilities, approaches, SETTING, area.grid, np.arange(len(poses)))
+    scores = score_maps(views, {"maps": probabilities}, approaches, SETTING, area.grid, np.arange(len(poses)))
     assert count(scores["imagination"][0] >= 0.5, area.truth[0]).tolist() == [47, 0, 47]
 
 
@@ -143,8 +145,10 @@ def test_cropping_to_the_reach_of_views_changes_no_count() -> None:
     assert area.grid.rows < grid.rows
 
     def counted(where: Grid, layer: np.ndarray) -> list[int]:
-        score = score_maps(views, probabilities, approaches, SETTING, where, np.arange(2))["seen_dilated"][0]
-        finished = approaches["seen_dilated"].finished(score, 0.3, 0.1)
+        score = score_maps(views, {"maps": probabilities}, approaches, SETTING, where, np.arange(2))[
+            "seen_dilated"
+        ][0]
+        finished = approaches["seen_dilated"].finished(score, layer, 0.3, 0.1)
         return [int(x) for x in count(finished >= 0.5, layer)]
 
     assert counted(area.grid, area.truth[0]) == counted(grid, truth[1])
@@ -153,7 +157,27 @@ def test_cropping_to_the_reach_of_views_changes_no_count() -> None:
 def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(UserError, match=r"valid_threshold: got 1\.5"):
         ValidPrediction(1.5, 0.3)
-    with pytest.raises(UserError, match="expected one of: close, grow, keep"):
+    with pytest.raises(UserError, match="expected one of: close, grow, keep, truth"):
         Approach(SeenPrediction(), Max(), "melt")
     with pytest.raises(UserError, match=r"approach\.kernels: got -0\.1"):
         Approach(SeenPrediction(), Max(), "grow", (-0.1,))
+
+
+def test_a_predicted_segmentation_is_projected_in_the_truth_s_place() -> None:
+    view = one_view(seen_square())
+    view["depth"][0, 8, 8], view["categories"][0, 8, 8] = 0.5, 1
+    images = np.zeros((1, 16, 16), np.uint8)
+    images[0, 8, 8] = 2
+    evidence = ProjectedSegmentation(0.0, 2.0, np.inf, predicted=True)
+    values, _ = evidence(view, {"images": images}, SETTING)
+    assert np.argwhere(values[0, 0]).tolist() == [[3, 4]] and evidence.needs == "images"
+
+
+def test_the_imaginable_area_surrounds_what_is_seen_of_an_object() -> None:
+    view = one_view(seen_square())
+    view["object"] = np.zeros((1, 3, 9, 9), bool)
+    view["object"][0, 1, 5, 5:8] = True  # seen at column 5, imaginable one cell further
+    values, mask = ImaginableArea(0.3)(view, {}, SETTING)
+    near = np.zeros((9, 9), bool)
+    near[4:7, 4:7] = True
+    assert (mask[0, 0] == near).all() and (values == mask).all()

@@ -13,11 +13,11 @@ from imagination.errors import UserError
 from imagination.evaluate import configured
 
 
-def checkpoint(choices: list[str], *values: str) -> Checkpoint:
+def checkpoint(choices: list[str], *values: str, name: str = "best") -> Checkpoint:
     """What a run with these overrides keeps of its config, without weights."""
     config = compose("train", [*choices, *values, "paths.run=."])
     OmegaConf.update(config, "choices", [*choices, *values])
-    return Checkpoint(Path("best.ckpt"), {KEY: ConfigInCheckpoint(config).description, "state_dict": {}})
+    return Checkpoint(Path(f"{name}.ckpt"), {KEY: ConfigInCheckpoint(config).description, "state_dict": {}})
 
 
 @pytest.fixture(scope="module")
@@ -76,10 +76,72 @@ def test_the_registration_rule_can_be_swept(chair: Checkpoint) -> None:
 
 
 def test_units_of_several_categories_stand_side_by_side(chair: Checkpoint) -> None:
-    bed = checkpoint(["+experiment=bed_unet", "scale=test"])
+    bed = checkpoint(["+experiment=bed_unet", "scale=test"], name="bed")
+    network = checkpoint(["+experiment=segmentation_hrnet", "scale=test"], name="network")
     assert configured([bed, chair], ["ckpt=[a,b]"]).unit_categories == ["bed", "chair"]
-    with pytest.raises(UserError, match="expected each category once"):
-        configured([chair, chair], ["ckpt=[a,a]"])
+    assert configured([bed, chair, network], ["ckpt=[a,b,c]"]).unit_categories == ["bed", "chair"]
+    assert configured([network], ["ckpt=c"]).unit_categories == ["chair", "bed", "table"]
+    every = checkpoint(["+experiment=all_units", "scale=test"], name="every")
+    assert configured([every], ["ckpt=a", "unit_categories=[table]"]).unit_categories == ["table"]
+
+
+@pytest.mark.parametrize(
+    ("experiments", "told"),
+    [
+        (
+            ["chair_unet", "all_units"],
+            r"a\.ckpt and b\.ckpt, which both give chair, expected each category once",
+        ),
+        (
+            ["chair_unet", "bed_unet", "segmentation_hrnet", "segmentation_hrnet"],
+            r"c\.ckpt and d\.ckpt, which both",
+        ),
+    ],
+)
+def test_two_checkpoints_of_one_category_are_refused_by_name(experiments: list[str], told: str) -> None:
+    given = zip(experiments, "abcd", strict=False)
+    with pytest.raises(UserError, match=told):
+        configured([checkpoint([f"+experiment={one}", "scale=test"], name=name) for one, name in given], [])
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        (
+            "scale.resolution=0.1",
+            r"bed\.ckpt: is of bed at 0\.1 m a cell, but checkpoint best\.ckpt asks for chair",
+        ),
+        (
+            "camera.width=40",
+            r"bed\.ckpt: was trained with the camera .*40.*, but checkpoint best\.ckpt asks for .*48",
+        ),
+    ],
+)
+def test_checkpoints_that_differ_are_refused_with_both(chair: Checkpoint, value: str, told: str) -> None:
+    bed = checkpoint(["+experiment=bed_unet", "scale=test"], value, name="bed")
+    with pytest.raises(UserError, match=told):
+        configured([chair, bed], ["ckpt=[a,b]"])
+
+
+def test_a_category_that_no_checkpoint_gives_is_refused(chair: Checkpoint) -> None:
+    network = checkpoint(
+        ["+experiment=segmentation_hrnet", "scale=test"], "unit_categories=[chair]", name="net"
+    )
+    with pytest.raises(UserError, match=r"net\.ckpt: is of chair .* add a checkpoint of bed"):
+        configured([chair, checkpoint(["+experiment=bed_unet", "scale=test"], name="bed"), network], [])
+
+
+def test_one_segmentation_network_is_enough(chair: Checkpoint) -> None:
+    network = checkpoint(["+experiment=segmentation_hrnet", "scale=test"], name="net")
+    assert configured([chair], ["ckpt=a", "ade20k=weights"]).ade20k == "weights"
+    with pytest.raises(UserError, match=r"got weights beside checkpoint net\.ckpt"):
+        configured([chair, network], ["ckpt=[a,b]", "ade20k=weights"])
+
+
+def test_the_study_adds_its_rows(chair: Checkpoint) -> None:
+    config = configured([chair], ["ckpt=a", "+study=paper"])
+    assert config.name == "study" and config.evaluation.known_homes == config.scale.homes.test
+    assert list(config.evaluation.approaches)[-2:] == ["rgb_shuffled", "oracle"]
 
 
 @pytest.mark.parametrize("override", ["unit_categories=[chair,bed]", "scale.resolution=0.1"])

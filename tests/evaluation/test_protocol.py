@@ -1,19 +1,20 @@
 """The mapping task in hand-made rooms, with a predictor that knows the truth."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from imagination.errors import UserError
-from imagination.evaluation import runs
+from imagination.evaluation import map_files, runs, tables
 from imagination.evaluation.metrics import mean_iou, pooled_iou
 from imagination.evaluation.outcome import Key, Report
 from imagination.evaluation.protocol import Subject
 from imagination.evaluation.runs import Looks, Run, views_of
 from imagination.views.viewpoints import Viewpoints
-from tests.evaluation.subjects import make_protocol, make_subject
+from tests.evaluation.subjects import Perfect, make_protocol, make_subject
 
 HOMES = ["val_0", "test_1"]
 
@@ -40,6 +41,30 @@ def test_a_perfect_prediction_maps_nearly_everything(report: Report) -> None:
         assert scores["seg_gt"] > 0.25
         choices = report.choices
         assert choices["seen_dilated", category].iou >= choices["imagination_seen", category].iou
+
+
+def test_a_half_blind_segmentation_maps_less_than_a_perfect_one(report: Report) -> None:
+    for category in ("chair", "bed"):
+        correct = {
+            name: int(report.counts[Key(name, category, 1.0)][..., 0].sum())
+            for name in ("seg_gt", "seg_hrnet")
+        }
+        assert 0 < correct["seg_hrnet"] < correct["seg_gt"]
+        assert 0 < report.first_person[category] < 1
+
+
+def test_the_oracle_bounds_what_can_be_imagined(report: Report) -> None:
+    for key, counts in report.counts.items():
+        if key.approach == "oracle":
+            assert (counts[..., 1] == 0).all()
+            assert (counts[..., 0] >= 0.9 * report.counts[key._replace(approach="imagination")][..., 0]).all()
+
+
+def test_seen_cells_are_a_part_of_all(report: Report) -> None:
+    for key, counts in report.counts.items():
+        assert (report.seen[key] <= counts).all()
+        assert report.seen[key][..., 2].any()
+    assert any((report.seen[key] < counts).any() for key, counts in report.counts.items())
 
 
 def test_every_run_is_measured_against_the_whole_homes_truth(subject: Subject, report: Report) -> None:
@@ -111,6 +136,7 @@ def test_homes_without_the_category_are_left_out(subject: Subject, report: Repor
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"known_homes": -1}, "known_homes: got -1"),
         ({"cell_widths": [0.0]}, r"cell_widths: got 0\.0"),
         ({"cell_widths": []}, "cell_widths: got 0"),
         ({"viewpoint_sets": 0}, "viewpoint_sets: got 0"),
@@ -132,3 +158,104 @@ def test_a_home_too_small_for_the_cell_width_counts_with_empty_maps(
         assert (counts[..., :2] == 0).all()
         assert (counts[..., 2] > 0).all()
     assert [len(distances) for distances in found.snap_distances] == [0] * 4
+
+
+def test_tables_can_be_recounted_from_the_saved_maps(
+    subject: Subject, report: Report, tmp_path: Path
+) -> None:
+    """With numpy alone, from the files alone."""
+    protocol = make_protocol()
+    found = protocol.measure(subject, HOMES, report.choices, save=lambda maps: map_files.save(tmp_path, maps))
+    totals: dict[tuple[str, str, str], np.ndarray] = {}
+    for path in sorted((tmp_path / "maps").iterdir()):
+        with np.load(path, allow_pickle=False) as file:
+            predicted = file["level"] >= file["threshold"][..., None, None]
+            assert predicted.shape[2:] == file["occupied"].shape == file["seen"].shape
+            for (a, name), (c, category) in product(
+                enumerate(file["approaches"]), enumerate(file["categories"])
+            ):
+                if file["present"][c]:
+                    mine, truth, seen = predicted[a, c], file["truth"][c], file["seen"]
+                    outcomes = mine & truth, mine & ~truth, truth, mine & truth & seen
+                    key = str(name), str(category), f"{file['cell_width']:g}"
+                    totals[key] = totals.get(key, 0) + np.array([np.sum(cells) for cells in outcomes])
+    rows = tables.mapping_rows(found, protocol, 0.1)
+    assert len(rows) == len(totals) == 6 * 2 * 2
+    for row in rows:
+        correct, false, truth, seen = totals[row["approach"], row["category"], row["cell_width"]].tolist()
+        told = [int(row[name]) for name in ("correct_pixels", "false_pixels", "truth_pixels")]
+        assert told == [correct, false, truth]
+        assert float(row["iou_pooled"]) == pytest.approx(correct / (truth + false), abs=5e-5)
+        of_row = Key(row["approach"], row["category"], float(row["cell_width"]))
+        assert found.seen[of_row][..., 0].sum() == seen
+
+
+def test_saved_maps_are_read_as_they_were(subject: Subject, report: Report, tmp_path: Path) -> None:
+    kept: list[map_files.SavedMaps] = []
+    make_protocol(cell_widths=[1.0]).measure(subject, HOMES[:1], report.choices, save=kept.append)
+    for maps in kept:
+        map_files.save(tmp_path, maps)
+        path = map_files.path_of(tmp_path, maps.run)
+        before = path.read_bytes()
+        again = map_files.load(path)
+        assert again.run == maps.run and again.grid == maps.grid and again.approaches == maps.approaches
+        assert (again.predicted == maps.predicted).all() and (again.truth == maps.truth).all()
+        map_files.save(tmp_path, again)
+        assert path.read_bytes() == before
+        # cropped to what it holds, at its place: the truth's cells lie where the home's do
+        home = subject.pool.observer.truth(maps.run.home)
+        points = maps.grid.to_points(np.argwhere(maps.truth[0]))
+        row, column = home.grid.to_cells(points).T
+        assert home.truth[0][row, column].all() and len(points) == home.truth[0].sum()
+    path.write_bytes(before[:100])
+    with pytest.raises(UserError, match="is damaged or no file of maps"):
+        map_files.load(path)
+
+
+def test_an_evaluation_that_stopped_goes_on_where_it_was(tmp_path: Path) -> None:
+    protocol, subject = make_protocol(cell_widths=[1.5]), make_subject(tmp_path)
+
+    class Stops(Perfect):
+        calls = 0
+
+        def __call__(self, views, wanted):
+            Stops.calls += 1
+            if Stops.calls == 3:
+                raise KeyboardInterrupt
+            return super().__call__(views, wanted)
+
+    stops = subject._replace(predict=Stops(subject.setting.layers))
+    with pytest.raises(KeyboardInterrupt):
+        protocol.choose(stops, HOMES)
+    choices = protocol.choose(stops, HOMES)
+    assert Stops.calls == 3 + 2  # the runs of the second home; the first's were done
+    assert choices == protocol.choose(subject, HOMES)
+    assert choices == protocol.choose(subject._replace(keep=False), HOMES)
+    other = subject._replace(predict=Stops(subject.setting.layers, fingerprint="others"))
+    protocol.choose(other, HOMES)
+    assert Stops.calls == 3 + 2 + 4  # other networks, other results
+
+
+def test_workers_change_nothing(subject: Subject, report: Report, tmp_path: Path) -> None:
+    several = make_subject(tmp_path, workers=2)
+    protocol = make_protocol(cell_widths=[1.0])
+    try:
+        found = protocol.measure(several, HOMES, report.choices)
+    finally:
+        several.pool.close()
+    for key, counts in found.counts.items():
+        assert (counts == report.counts[key]).all() and (found.shuffled[key] == report.shuffled[key]).all()
+
+
+def test_approaches_that_lack_their_network_are_left_out_unless_asked_for() -> None:
+    protocol = make_protocol()
+    assert list(protocol.available({"maps"}).approaches) == [
+        "seg_gt", "imagination_seen", "seen_dilated", "imagination", "oracle",
+    ]  # fmt: skip
+    assert list(protocol.available({"images"}).approaches) == ["seg_gt", "seg_hrnet", "oracle"]
+    some = make_protocol(only=["imagination", "seg_gt"])
+    assert list(some.available({"maps"}).approaches) == ["imagination", "seg_gt"]
+    with pytest.raises(UserError, match="got seg_hrnet, which needs a checkpoint of a segmentation network"):
+        make_protocol(only=["seg_gt", "seg_hrnet"]).available({"maps"})
+    with pytest.raises(UserError, match=r"evaluation\.only: got 'seg_gd', expected one of: imagination, "):
+        make_protocol(only=["seg_gd"]).available({"maps"})

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from imagination.evaluation import figures, tables
 from imagination.evaluation.outcome import Example, Key, Report
-from imagination.evaluation.report import Provenance, write
+from imagination.evaluation.report import Beside, Provenance, write
 from imagination.evaluation.runs import Run
 from imagination.evaluation.selection import Choice
 from imagination.geometry.grid import Grid
@@ -49,7 +49,9 @@ def report() -> Report:
     )
     choices = {(name, "chair"): Choice(0.35, 0.3, 0.5) for name in protocol.approaches}
     homes, left_out = {"chair": ["test_0", "test_1", "test_2"]}, {"chair": ["test_3"]}
-    return Report(counts, counts, choices, homes, left_out, [example], [np.array([0.1, 0.3]), np.array([])])
+    snaps = [np.array([0.1, 0.3]), np.array([])]
+    seen = {key: np.minimum(count, 8) for key, count in counts.items()}
+    return Report(counts, counts, choices, homes, left_out, [example], snaps, seen, {"chair": 0.5})
 
 
 def test_the_tables_are_what_the_counts_say(tmp_path: Path, report: Report) -> None:
@@ -58,7 +60,7 @@ def test_the_tables_are_what_the_counts_say(tmp_path: Path, report: Report) -> N
     text = (tmp_path / "mapping.csv").read_text()
     assert text.startswith(COLUMNS + ",")
     rows = {(row["approach"], row["cell_width"]): row for row in csv.DictReader(text.splitlines())}
-    assert len(rows) == 8
+    assert len(rows) == 12
     counts = report.counts[Key("imagination", "chair", 1.5)]
     row = rows["imagination", "1.5"]
     assert int(row["runs"]) == 6
@@ -67,8 +69,11 @@ def test_the_tables_are_what_the_counts_say(tmp_path: Path, report: Report) -> N
     assert float(row["iou_ci_low"]) <= float(row["iou_pooled"]) <= float(row["iou_ci_high"])
     assert float(row["area_m2"]) == pytest.approx(counts[..., 0].sum() * 0.01)
     assert (row["homes"], row["homes_left_out"]) == ("3", "1")
+    seen = report.seen[Key("imagination", "chair", 1.5)]
+    for name, part in (("iou_seen", seen), ("iou_unseen", counts - seen)):
+        assert float(row[name]) == pytest.approx(part[..., 0].sum() / part[..., 1:].sum(), abs=5e-5)
     per_run = list(csv.DictReader((tmp_path / "runs.csv").read_text().splitlines()))
-    assert len(per_run) == 8 * 6
+    assert len(per_run) == 12 * 6
     assert sum(
         int(r["correct_pixels"])
         for r in per_run
@@ -80,8 +85,10 @@ def test_pairs_are_differences_with_an_interval(tmp_path: Path, report: Report) 
     rows = tables.paired_rows(report, make_protocol())
     assert [row["difference"] for row in rows[::2]] == [
         "imagination - seg_gt",
+        "imagination - seg_hrnet",
         "imagination - imagination_seen",
         "imagination - seen_dilated",
+        "imagination - oracle",
     ]
     for row in rows:
         assert float(row["ci_low"]) <= float(row["iou_pooled"]) <= float(row["ci_high"])
@@ -94,7 +101,7 @@ def test_the_same_report_gives_the_same_bytes(tmp_path: Path, report: Report) ->
         figures.write(tmp_path / folder / "figures", report, rows)
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
     assert [path.name for path in files] == [
-        "iou.png", "maps_chair.png", "mapping.csv", "mapping.md", "paired.csv", "runs.csv",
+        "iou.png", "maps_chair.png", "mapping.csv", "mapping.md", "paired.csv", "provenance.json", "runs.csv",
     ]  # fmt: skip
     for path in files:
         assert (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes()
@@ -125,8 +132,22 @@ def test_the_screen_shows_every_row_in_eighty_columns(report: Report) -> None:
 
 def test_colours_tell_correct_false_and_missed_apart(report: Report) -> None:
     example = report.examples[0]
-    image = figures.agreement_image(example, example.predicted["imagination_seen"])
+    image = figures.agreement_image(example, np.roll(example.truth, 1, axis=0))
     assert tuple(image[5, 5]) == figures.CORRECT
     assert tuple(image[9, 5]) == figures.FALSE
     assert tuple(image[4, 5]) == figures.MISSED
     assert figures.side_by_side(example).shape[2] == 3
+
+
+def test_tables_beside_that_of_the_maps_are_written_where_there_is_something_to_say(
+    tmp_path: Path, report: Report
+) -> None:
+    write(tmp_path, report, make_protocol(), 0.1, ORIGIN)
+    assert not list(tmp_path.glob("training.csv")) and not list(tmp_path.glob("furniture.csv"))
+    training = [{"network": "segmentation_hrnet", "samples": "640"}]
+    write(tmp_path, report, make_protocol(), 0.1, ORIGIN, Beside(training, report))
+    assert (tmp_path / "training.csv").read_text() == "network,samples\nsegmentation_hrnet,640\n"
+    for row in csv.DictReader((tmp_path / "furniture.csv").read_text().splitlines()):
+        assert row["iou_known"] == row["iou_unseen"] and row["homes_known"] == "3"
+        assert float(row["ci_low_known"]) <= float(row["iou_known"]) <= float(row["ci_high_known"])
+    assert "| segmentation_hrnet | 640 |" in (tmp_path / "mapping.md").read_text()

@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 from imagination.categories import Category, CategoryTable
 from imagination.errors import UserError
 from imagination.scenes.procedural.source import ProceduralHomes
-from imagination.scenes.scene import SPLITS, Scene, SceneObject, SceneSource
+from imagination.scenes.procedural.styles import families_of
+from imagination.scenes.scene import SPLITS, Scene, SceneObject, SceneSource, SpareHomes
 
 MEMBERS = {
     "chair": ["chair", "office_chair", "armchair"],
@@ -130,6 +131,18 @@ def test_splits_share_no_model(scenes) -> None:
     assert not models["train"] & models["test"]
     assert not models["train"] & models["val"]
     assert not models["val"] & models["test"]
+
+
+def test_spare_homes_are_furnished_as_training_s_and_in_no_split() -> None:
+    assert isinstance(SOURCE, SpareHomes)
+    names = SOURCE.spare(2)
+    assert names == ["known_0000", "known_0001"] and not set(names) & set(NAMES)
+    home = load(names[0])
+    families = families_of("train")
+    styled = [thing for thing in home.objects if thing.label in families]
+    assert styled and all(thing.model.partition("/")[0] in families[thing.label] for thing in styled)
+    assert len({SOURCE.fingerprint(name) for name in [*names, *NAMES]}) == 2 + len(NAMES)
+    assert len(home.mesh.vertices) not in [len(load(name).mesh.vertices) for name in NAMES]
 
 
 def test_every_home_has_chairs_tables_and_beds(scene: Scene) -> None:

@@ -27,7 +27,6 @@ def random_batch(
         "seen": bits(1, 0.6),
         "label": label,
         "neighbourhood": label | bits(categories, 0.2),
-        "object": label | bits(categories, 0.1),
     }
 
 

@@ -8,10 +8,11 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from torch import nn
 
+from imagination.units.loss import WeightedBCE
 from tests.units.batches import inputs, random_batch
 
 CONF = Path(__file__).parents[2] / "conf"
-VARIANTS = sorted({path.stem for path in (CONF / "model").glob("*.yaml")} - {"training"})
+VARIANTS = sorted({path.stem for path in (CONF / "model").glob("*.yaml")} - {"training", "hrnet"})
 BACKBONES = sorted(path.stem for path in (CONF / "model" / "backbone").glob("*.yaml"))
 ENCODERS = {
     "resnet18": ["model/encoder=resnet18"],
@@ -88,3 +89,16 @@ def test_every_input_that_a_unit_declares_matters(variant: str) -> None:
         changed = batch | {name: 1 - batch[name]}
         with torch.no_grad():
             assert not torch.equal(unit(*inputs(batch)), unit(*inputs(changed))), name
+
+
+def test_units_side_by_side_get_the_gradients_that_each_gets_alone() -> None:
+    names = ["chair", "bed", "table"]
+    module = build("+model=units", f"unit_categories=[{','.join(names)}]")
+    batch = random_batch(size=48, cells=31, categories=3)
+    WeightedBCE()(module(*inputs(batch)), batch["label"], batch["neighbourhood"]).loss.backward()
+    for place, (name, unit) in enumerate(zip(names, module.units, strict=True)):
+        alone = build("+model=unit", f"unit_categories=[{name}]")
+        part = batch["label"][:, [place]], batch["neighbourhood"][:, [place]]
+        WeightedBCE()(alone(*inputs(batch)), *part).loss.backward()
+        for ours, expected in zip(unit.parameters(), alone.parameters(), strict=True):
+            torch.testing.assert_close(ours.grad, expected.grad)

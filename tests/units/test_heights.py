@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from imagination.errors import UserError
 from imagination.geometry.projection import Band, project_depth
@@ -44,3 +45,22 @@ def test_no_heights_give_no_band() -> None:
 def test_heights_that_do_not_ascend_are_refused(heights: list[float]) -> None:
     with pytest.raises(UserError, match="scale.heights: got"):
         HeightBands(CAMERA, EGO, heights)
+
+
+def test_jitter_scales_heights_in_training_only() -> None:
+    depth, exact = random_depth(6), HeightBands(CAMERA, EGO, HEIGHTS)
+    jittered = HeightBands(CAMERA, EGO, HEIGHTS, jitter=0.2)
+    assert torch.equal(jittered.eval()(depth), exact(depth))
+    torch.manual_seed(0)
+    maps = jittered.train()(depth)
+    torch.manual_seed(0)
+    factors = 1 + 0.2 * (2 * torch.rand(len(depth), 1, 1) - 1)
+    for index, factor in enumerate(factors.flatten().tolist()):
+        # heights that are scaled by a factor lie in bands whose bounds are divided by it
+        scaled = HeightBands(CAMERA, EGO, [height / factor for height in HEIGHTS])(depth)[index]
+        assert (maps[index] != scaled).float().mean() < 0.001 < (maps[index] != exact(depth)[index]).float().mean()
+
+
+def test_jitter_out_of_range_is_refused() -> None:
+    with pytest.raises(UserError, match="height_jitter: got 0.9"):
+        HeightBands(CAMERA, EGO, HEIGHTS, jitter=0.9)

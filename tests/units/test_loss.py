@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from imagination.callbacks.replay_buffer import parts
-from imagination.units.loss import imagination_loss
+from imagination.units.loss import BCEDice, WeightedBCE, imagination_loss
 from tests.units.batches import random_batch
 
 
@@ -144,3 +144,35 @@ def test_two_processes_train_as_one() -> None:
     root = Path(__file__).parents[2]
     done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_paper_s_loss_as_a_part_is_the_function() -> None:
+    batch = random_batch(views=3, cells=9, categories=2)
+    logits = torch.randn(3, 2, 9, 9, generator=torch.Generator().manual_seed(0))
+    expected, weights = imagination_loss(logits, batch["label"], batch["neighbourhood"], 7.0, 3.0)
+    loss, parts = WeightedBCE(7.0, 3.0)(logits, batch["label"], batch["neighbourhood"])
+    assert loss == expected
+    assert parts["w_alpha"] == weights.alpha.mean() and parts["w_gamma"] == weights.gamma.mean()
+
+
+def test_dice_by_hand_takes_the_batch_as_one_picture() -> None:
+    label = torch.zeros(2, 1, 2, 2, dtype=torch.uint8)
+    label[0, 0, 0] = 1  # the second view has none: a dice of its own would be nearly 1
+    logits = torch.tensor([[[[0.0, math.log(3)], [0.0, -math.log(3)]]], [[[0.0, 0.0], [0.0, 0.0]]]])
+    # probabilities 1/2, 3/4 on the label and 1/2, 1/4, 4 x 1/2 elsewhere
+    both, either = 1 / 2 + 3 / 4, (1 / 2 + 3 / 4) + (1 / 2 + 1 / 4 + 4 / 2) + 2
+    bce = -(6 * math.log(1 / 2) + 2 * math.log(3 / 4)) / 8
+    loss, parts = BCEDice()(logits, label, label)
+    assert parts["dice"].item() == pytest.approx(1 - 2 * (both + 1) / (either + 2))
+    assert parts["bce"].item() == pytest.approx(bce)
+    assert loss.item() == pytest.approx(parts["dice"].item() + bce)
+
+
+def test_dice_of_categories_adds_up_and_a_batch_without_label_has_gradients() -> None:
+    batch = random_batch(views=3, cells=9, categories=2)
+    logits = torch.randn(3, 2, 9, 9, generator=torch.Generator().manual_seed(0))
+    apart = [BCEDice()(logits[:, [k]], batch["label"][:, [k]], batch["label"][:, [k]]).loss for k in (0, 1)]
+    assert BCEDice()(logits, batch["label"], batch["label"]).loss.item() == pytest.approx(sum(apart).item())
+    logits.requires_grad_()
+    BCEDice()(logits, torch.zeros_like(batch["label"]), batch["label"]).loss.backward()
+    assert (logits.grad > 0).all()  # everything is to be imagined less

@@ -14,7 +14,7 @@ from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.units.backbones import UNet
 from imagination.units.encoders import TimmEncoder
-from imagination.units.loss import imagination_loss
+from imagination.units.loss import WeightedBCE, imagination_loss
 from imagination.units.projected import ProjectedUnit
 from imagination.units.training import UnitTraining
 from imagination.units.unit import ImaginationUnit, Unit
@@ -37,7 +37,10 @@ def training(kind: type = ImaginationUnit, **options: float) -> UnitTraining:
     else:
         parts |= {"heights": [0.2, 0.5, 1.5]}
     schedule = partial(torch.optim.lr_scheduler.StepLR, step_size=1, gamma=0.1)
-    return UnitTraining(kind(**parts), EGO, 0.36, partial(torch.optim.Adam, lr=0.001), schedule, **options)
+    loss = WeightedBCE()
+    return UnitTraining(
+        kind(**parts), loss, EGO, 0.36, partial(torch.optim.Adam, lr=0.001), schedule, **options
+    )
 
 
 def loader(batches: int) -> DataLoader[dict[str, Tensor]]:
@@ -135,4 +138,4 @@ def test_a_checkpoint_holds_weights_and_plain_values_only(tmp_path) -> None:
 def test_values_out_of_range_are_refused_by_name(option: str) -> None:
     for value in (-1.0, float("nan")):
         with pytest.raises(UserError, match=option):
-            training(**{option: value})
+            training(valid_threshold=value) if option == "valid_threshold" else WeightedBCE(**{option: value})

@@ -12,7 +12,7 @@ from imagination.scenes.procedural.furnishing import furnish
 from imagination.scenes.procedural.layouts import draw_plan
 from imagination.scenes.procedural.palette import Finish
 from imagination.scenes.procedural.pieces import Piece, Placed
-from imagination.scenes.procedural.stock import STYLED, Stock
+from imagination.scenes.procedural.stock import Furniture, Stock
 from imagination.scenes.scene import SPLITS, FreeSpace, Lighting, Mesh, OrientedBox, Scene, SceneObject, Split
 
 ATTEMPTS = 12
@@ -28,7 +28,13 @@ ROOM_SHARE = 0.08
 
 
 def build_home(
-    name: str, seed: int, split: Split, number: int, categories: CategoryTable, robot_radius: float
+    name: str,
+    seed: int,
+    split: Split,
+    number: int,
+    categories: CategoryTable,
+    robot_radius: float,
+    furniture_source: Furniture,
 ) -> Scene:
     """Build a home; it depends on nothing but the arguments.
 
@@ -38,7 +44,7 @@ def build_home(
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, SPLITS.index(split), number, attempt])
         plan = draw_plan(rng)
-        stock = Stock(split, rng)
+        stock = Stock(furniture_source, split, rng)
         furniture = furnish(plan, stock, robot_radius)
         labels = {thing.piece.label for thing in furniture}
         if not all(labels & any_of for any_of in REQUIRED):
@@ -48,13 +54,17 @@ def build_home(
         lighting = _lighting(rng)
         centre = _middle(building.within(0.0, 0.0, yaw))
         things = [thing.within(-centre[0], -centre[1], yaw) for thing in (building, *furniture)]
-        mesh = _mesh(things)
+        mesh = assemble(things)
         try:
             free = free_space(mesh, 0.0, robot_radius)
         except UserError:
             continue
         if _reaches_all(free, plan, things[0]):
-            objects = tuple(_object(i, thing, categories) for i, thing in enumerate(things) if i > 0)
+            objects = tuple(
+                object_of(i, thing, categories.of_label("procedural", thing.piece.label))
+                for i, thing in enumerate(things)
+                if i > 0
+            )
             return Scene(name, mesh, lighting, objects, free, 0.0, plan.ceiling)
     raise UserError(
         f"{name}: none of {ATTEMPTS} draws gave a home that a robot of radius {robot_radius} m gets through; "
@@ -67,7 +77,7 @@ def _middle(building: Placed) -> Float[np.ndarray, "2"]:
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
 
 
-def _mesh(things: list[Placed]) -> Mesh:
+def assemble(things: list[Placed]) -> Mesh:
     """One mesh of all things; a thing's number is its instance id."""
     pieces = [thing.piece for thing in things]
     finishes: dict[int, Finish] = {id(finish): finish for piece in pieces for finish in piece.finishes}
@@ -96,16 +106,15 @@ def _uv(piece: Piece) -> Float[np.ndarray, "m 3 2"]:
     return np.asarray(piece.uv / tile[:, None, None])
 
 
-def _object(instance: int, thing: Placed, categories: CategoryTable) -> SceneObject:
+def object_of(instance: int, thing: Placed, category: str | None) -> SceneObject:
+    """A placed thing as an object of the scene."""
     low, high = thing.piece.low, thing.piece.high
     middle = Placed(thing.piece, *((low + high)[:2] / 2).tolist()).within(thing.x, thing.y, thing.yaw)
     centre = (middle.x, middle.y, float(thing.z + (low[2] + high[2]) / 2))
     width, depth, height = (high - low).tolist()
-    label = thing.piece.label
     yaw = float(np.arctan2(np.sin(thing.yaw), np.cos(thing.yaw)))
     box = OrientedBox(centre, (width, depth, height), yaw)
-    model = thing.piece.model if label in STYLED else label
-    return SceneObject(instance, label, categories.of_label("procedural", label), box, model)
+    return SceneObject(instance, thing.piece.label, category, box, thing.piece.model)
 
 
 def _reaches_all(free: FreeSpace, plan: Plan, building: Placed) -> bool:

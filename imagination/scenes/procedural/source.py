@@ -1,6 +1,7 @@
 """The scene source of procedural homes."""
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -11,10 +12,16 @@ from imagination.categories import CategoryTable
 from imagination.errors import UserError, check_range
 from imagination.scenes import free_space as free_space_module
 from imagination.scenes.procedural.home import build_home
-from imagination.scenes.procedural.stock import LABELS
-from imagination.scenes.scene import SPLITS, Scene, Split
+from imagination.scenes.procedural.stock import LABELS, Furniture, ProceduralFurniture
+from imagination.scenes.scene import SPLITS, Credit, Scene, Split
 
 SOURCE = "procedural"
+
+MOST = 9999
+"""Homes of a split."""
+
+SPARE = "known"
+"""What homes with furniture that is known from training, none of which is trained on, are called."""
 
 
 class ProceduralHomes:
@@ -26,6 +33,7 @@ class ProceduralHomes:
         categories: which labels belong to which category.
         robot_radius: of the robot that must get through every room, metres.
         required: categories that must be among those that homes can contain.
+        furniture: where the pieces come from; made by rule unless given.
 
     Raises:
         UserError: on a value out of range, a label that no home contains, or a required category without labels.
@@ -40,13 +48,14 @@ class ProceduralHomes:
         categories: CategoryTable,
         robot_radius: float,
         required: Sequence[str] = (),
+        furniture: Furniture | None = None,
     ) -> None:
         check_range("procedural homes: seed", seed, 0, 2**63 - 1)
         check_range("procedural homes: robot_radius", robot_radius, 0.05, 0.35, "m")
         if set(splits) != set(SPLITS):
             raise UserError(f"procedural homes: got splits {sorted(splits)}, expected {', '.join(SPLITS)}")
         for split, count in splits.items():
-            check_range(f"procedural homes: splits.{split}", count, 0, 9999, "homes")
+            check_range(f"procedural homes: splits.{split}", count, 0, MOST, "homes")
         for category in categories:
             unknown = sorted(set(category.members.get(SOURCE, ())) - set(LABELS))
             if unknown:
@@ -56,6 +65,7 @@ class ProceduralHomes:
                 )
         self._seed, self._counts = seed, dict(splits)
         self._categories, self._robot_radius = categories, robot_radius
+        self._furniture = furniture or ProceduralFurniture()
         for name in required:
             categories.index(name)
             if name not in self.categories():
@@ -82,6 +92,11 @@ class ProceduralHomes:
             )
         return [f"{split}_{number:04d}" for number in range(self._counts[split])]
 
+    def spare(self, count: int) -> list[str]:
+        """Names of homes furnished as training's whose numbers lie beyond all of training's."""
+        check_range("procedural homes: spare homes", count, 1, MOST, "homes")
+        return [f"{SPARE}_{number:04d}" for number in range(count)]
+
     def load(self, scene: str) -> Scene:
         """Build one home.
 
@@ -89,19 +104,28 @@ class ProceduralHomes:
             UserError: if there is no such home.
         """
         split, number = self._parse(scene)
-        return build_home(scene, self._seed, split, number, self._categories, self._robot_radius)
+        return build_home(
+            scene, self._seed, split, number, self._categories, self._robot_radius, self._furniture
+        )
 
     def fingerprint(self, scene: str) -> str:
-        """Changes with the seed, the home, the robot, the categories' labels and the code that builds homes."""
+        """Changes with the seed, the home, the robot, the categories' labels, the furniture and the builders' code."""
         self._parse(scene)
         members = [(category.name, sorted(category.members.get(SOURCE, ()))) for category in self._categories]
-        text = repr((SOURCE, self._seed, scene, self._robot_radius, members, _code_version()))
+        furniture = self._furniture.fingerprint()
+        text = repr((SOURCE, self._seed, scene, self._robot_radius, members, furniture, _code_version()))
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def credits(self) -> Sequence[Credit]:
+        """The models of furniture that others made."""
+        return self._furniture.credits()
 
     def _parse(self, scene: str) -> tuple[Split, int]:
         for split in SPLITS:
             if self._counts[split] and scene in self.scenes(split):
                 return split, int(scene.rsplit("_", 1)[1])
+        if re.fullmatch(rf"{SPARE}_\d{{4}}", scene):
+            return "train", MOST + 1 + int(scene.rsplit("_", 1)[1])
         have = ", ".join(f"{split}_0000 to {split}_{n - 1:04d}" for split, n in self._counts.items() if n)
         raise UserError(f"scene: got {scene!r}, expected one of: {have or '(no homes are configured)'}")
 

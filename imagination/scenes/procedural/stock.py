@@ -1,6 +1,7 @@
-"""What one home's furniture is taken from: styles of its split in the finishes of its palette."""
+"""What one home's furniture is taken from: pieces of its split in the finishes of its palette."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from imagination.scenes.procedural.palette import Palette
 from imagination.scenes.procedural.pieces import Piece
 from imagination.scenes.procedural.styles import Style, draw_style
 from imagination.scenes.procedural.tables import build_dining_table
-from imagination.scenes.scene import Split
+from imagination.scenes.scene import Credit, Split
 
 STYLED: Mapping[str, Callable[[Style, Palette], Piece]] = {
     "chair": build_chair,
@@ -32,24 +33,59 @@ LABELS: tuple[str, ...] = (*STYLED, *BUILDERS)
 """Every label that things in a home may have."""
 
 
+@runtime_checkable
+class Furniture(Protocol):
+    """Where the pieces of homes come from. Plain values only inside, so that worker processes receive a copy of it.
+
+    A piece stands in a frame of its own: x to the right, y to the front, z up, its lowest point at 0. Tables have
+    `seats` and `surfaces`, a desk exactly one seat; nightstands and side tables at least one surface.
+    """
+
+    def piece(self, label: str, split: Split, palette: Palette, rng: np.random.Generator) -> Piece:
+        """A piece with one of LABELS. Splits share no model of the labels in STYLED."""
+
+    def fingerprint(self) -> str:
+        """A string that changes whenever a piece changes."""
+
+    def credits(self) -> Sequence[Credit]:
+        """The models that others made, which results must name; may be empty."""
+
+
+class ProceduralFurniture:
+    """Furniture made by rule."""
+
+    def piece(self, label: str, split: Split, palette: Palette, rng: np.random.Generator) -> Piece:
+        """A new piece, of a style of its own."""
+        if label in STYLED:
+            return STYLED[label](draw_style(label, split, rng), palette)
+        return build_distractor(label, palette, rng)
+
+    def fingerprint(self) -> str:
+        """Nothing: the code that homes come from makes it."""
+        return ""
+
+    def credits(self) -> Sequence[Credit]:
+        """None: nobody else made it."""
+        return ()
+
+
 class Stock:
-    """Makes pieces for one home.
+    """Hands out pieces for one home.
 
     Args:
-        split: whose styles are used.
+        furniture: where they come from.
+        split: whose models are used.
         rng: of the home.
     """
 
-    def __init__(self, split: Split, rng: np.random.Generator) -> None:
+    def __init__(self, furniture: Furniture, split: Split, rng: np.random.Generator) -> None:
         self.rng = rng
         self.palette = Palette(rng)
-        self._split = split
+        self._furniture, self._split = furniture, split
 
     def piece(self, label: str) -> Piece:
         """A new piece, of a style of its own; place it several times for several of the same."""
-        if label in STYLED:
-            return STYLED[label](draw_style(label, self._split, self.rng), self.palette)
-        return build_distractor(label, self.palette, self.rng)
+        return self._furniture.piece(label, self._split, self.palette, self.rng)
 
     def chance(self, probability: float) -> bool:
         """True with a probability."""

@@ -3,14 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from imagination.errors import check_choice
 from imagination.scenes.free_space import free_space
-from imagination.scenes.scene import Lighting, Material, Mesh, OrientedBox, Scene, SceneObject, Split
-
-SEAT = (0.5, 0.5, 0.8)
-HEIGHT = 2.6
+from imagination.scenes.procedural.home import assemble, object_of
+from imagination.scenes.procedural.palette import Finish
+from imagination.scenes.procedural.pieces import Assembly, Placed
+from imagination.scenes.procedural.shapes import Solid, box
+from imagination.scenes.scene import SPLITS, Lighting, Material, Scene, Split
 
 
 @dataclass(frozen=True)
@@ -30,37 +29,23 @@ class BoxRooms:
         return [f"{split}_{number}" for number in range(self.homes[split])]
 
     def load(self, scene: str) -> Scene:
-        check_choice(
-            "scene", scene, [name for split in ("train", "val", "test") for name in self.scenes(split)]
-        )
+        check_choice("scene", scene, [name for split in SPLITS for name in self.scenes(split)])
         side = 4.0 + 0.5 * int(scene.rpartition("_")[2])
-        room = _box((0.0, 0.0, HEIGHT / 2), (side, side, HEIGHT))[:, ::-1]  # seen from inside
-        mesh = _mesh([room, _box((0.0, 0.0, SEAT[2] / 2), SEAT)])
-        seat = SceneObject(1, "seat", "chair", OrientedBox((0.0, 0.0, SEAT[2] / 2), SEAT, 0.0), "cube")
+        outside = box(side, side, 2.6)
+        room = Solid(outside.vertices, outside.faces[:, ::-1])  # seen from inside
+        things = [
+            _placed("building", room, (0.8, 0.8, 0.7)),
+            _placed("seat", box(0.5, 0.5, 0.8), (0.7, 0.2, 0.2)),
+        ]
+        mesh = assemble(things)  # a thing's number is its instance id; the building is 0
+        seat = object_of(1, things[1], "chair")
         return Scene(scene, mesh, Lighting(), (seat,), free_space(mesh, 0.0, self.robot_radius))
 
     def fingerprint(self, scene: str) -> str:
-        return f"box rooms 1 {scene} {self.robot_radius}"
+        return f"box rooms 2 {scene} {self.robot_radius}"
 
 
-def _box(centre: tuple[float, float, float], size: tuple[float, float, float]) -> np.ndarray:
-    """The 12 triangles of a box with normals outwards: (12, 3, 3)."""
-    sides = []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            corner = np.zeros((4, 3))
-            corner[:, axis] = sign
-            corner[:, (axis + 1) % 3] = np.array([-1, 1, 1, -1])
-            corner[:, (axis + 2) % 3] = np.array([-1, -1, 1, 1]) * sign
-            sides.append(corner[[[0, 1, 2], [0, 2, 3]]])
-    return np.array(sides).reshape(12, 3, 3) * np.array(size) / 2 + np.array(centre)
-
-
-def _mesh(boxes: list[np.ndarray]) -> Mesh:
-    triangles = np.concatenate(boxes).astype(np.float32)
-    owner = np.repeat(np.arange(len(boxes), dtype=np.int32), 12)
-    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
-    materials = (Material((0.8, 0.8, 0.7)), Material((0.7, 0.2, 0.2)))
-    return Mesh(
-        triangles.reshape(-1, 3), faces, owner, owner, np.zeros((len(faces), 3, 2), np.float32), materials
-    )
+def _placed(label: str, solid: Solid, colour: tuple[float, float, float]) -> Placed:
+    piece = Assembly(label)
+    piece.add(solid, Finish(Material(colour)))
+    return Placed(piece.finished())

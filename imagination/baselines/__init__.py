@@ -1,0 +1,1 @@
+"""First-person semantic segmentation, which semantic mapping projects by depth: the paper's baseline."""

@@ -1,0 +1,118 @@
+"""Training of a first-person segmentation network with Lightning."""
+
+from collections.abc import Callable, Mapping, Sequence
+from time import perf_counter
+
+import torch
+from jaxtyping import UInt8
+from lightning import LightningModule
+from torch import Tensor, nn
+from torch.nn.functional import cross_entropy
+from torch.optim import Optimizer
+from torchmetrics.classification import MulticlassConfusionMatrix
+
+from imagination.baselines.hrnet import at_size
+from imagination.ranks import ranks
+
+Batch = Mapping[str, Tensor]
+"""rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for none, else the category's place + 1; views int64 () where
+it is a part of a batch of so many."""
+
+
+class SegmentationTraining(LightningModule):
+    """Trains a network with cross-entropy and scores its images by IoU.
+
+    Args:
+        network: makes the network, given the number of `classes`: none, then each category.
+        categories: told apart.
+        optimizer: makes the optimiser, given parameters.
+    """
+
+    def __init__(
+        self,
+        network: Callable[..., nn.Module],
+        categories: Sequence[str],
+        optimizer: Callable[..., Optimizer],
+    ) -> None:
+        super().__init__()
+        self.categories = list(categories)
+        self.optimizer = optimizer
+        classes = 1 + len(self.categories)
+        self.network = network(classes=classes)
+        self.val_scores = MulticlassConfusionMatrix(classes)
+        self.test_scores = MulticlassConfusionMatrix(classes)
+        self._batch_start = 0.0
+
+    @torch.no_grad()
+    def segment(
+        self, rgb: UInt8[Tensor, "b 3 h w"], rows: int, columns: int
+    ) -> UInt8[Tensor, "b rows columns"]:
+        """The likeliest class of each pixel at the size asked for: 0 for none, else the category's place + 1."""
+        training = self.training
+        self.eval()
+        classes = at_size(self.network(rgb.to(self.device)), rows, columns).argmax(dim=1)
+        self.train(training)
+        return classes.to(torch.uint8)
+
+    def training_step(self, batch: Batch, index: int) -> Tensor:
+        loss, _ = self._compare(batch)
+        if "views" in batch:  # Lightning takes the mean over parts, which may differ by a view
+            loss = loss * len(batch["rgb"]) * self.trainer.accumulate_grad_batches / batch["views"]
+        values = {"loss": loss, "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"]}
+        self.log_dict(
+            {f"train/{name}": value for name, value in values.items()},
+            batch_size=len(batch["rgb"]),
+            sync_dist=True,
+        )
+        return loss
+
+    def on_train_batch_start(self, batch: Batch, index: int) -> None:
+        self._batch_start = perf_counter()
+
+    def on_train_batch_end(self, outputs: object, batch: Batch, index: int) -> None:
+        samples = len(batch["rgb"]) * ranks()
+        self.log("train/samples_per_second", samples / (perf_counter() - self._batch_start))
+
+    def validation_step(self, batch: Batch, index: int) -> None:
+        self._score(batch, "val", self.val_scores)
+
+    def test_step(self, batch: Batch, index: int) -> None:
+        self._score(batch, "test", self.test_scores)
+
+    def on_validation_epoch_end(self) -> None:
+        self._log_scores("val", self.val_scores)
+
+    def on_test_epoch_end(self) -> None:
+        self._log_scores("test", self.test_scores)
+
+    def configure_optimizers(self) -> Optimizer:
+        return self.optimizer(self.parameters())
+
+    def _compare(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        """The loss, and the likeliest class of each pixel."""
+        truth = batch["segmentation"].long()
+        logits = at_size(self.network(batch["rgb"]), *truth.shape[-2:])
+        total = cross_entropy(logits, truth, reduction="sum")
+        return total / max(1, truth.numel()), logits.argmax(dim=1)  # a process may have got no view
+
+    def _score(self, batch: Batch, stage: str, scores: MulticlassConfusionMatrix) -> None:
+        loss, predicted = self._compare(batch)
+        self.log(f"{stage}/loss", loss, batch_size=len(predicted), sync_dist=True)
+        scores.update(predicted, batch["segmentation"].long())
+
+    def _log_scores(self, stage: str, scores: MulticlassConfusionMatrix) -> None:
+        """Log IoU, precision and recall: the mean over categories, of which none is not one, and of each."""
+        counts: Tensor = scores.compute()
+        hits, truth, predicted = (
+            count[1:] for count in (counts.diagonal(), counts.sum(dim=1), counts.sum(dim=0))
+        )
+        named = {
+            "iou": hits / (truth + predicted - hits).clamp(min=1),
+            "precision": hits / predicted.clamp(min=1),
+            "recall": hits / truth.clamp(min=1),
+        }
+        for name, values in named.items():
+            self.log(f"{stage}/{name}", values.mean())
+            for category, value in zip(self.categories, values, strict=True):
+                self.log(f"{stage}/{name}_{category}", value)
+        scores.reset()

@@ -1,0 +1,26 @@
+"""Checkpoint files of a run's folder, wherever that folder is."""
+
+from pathlib import Path
+from typing import Any
+
+from lightning.pytorch.callbacks import ModelCheckpoint
+
+PATHS = ("best_model_path", "kth_best_model_path", "last_model_path")
+
+
+class MovableCheckpoint(ModelCheckpoint):
+    """A ModelCheckpoint whose state names files without their folder: Lightning forgets the best after a move."""
+
+    def state_dict(self) -> dict[str, Any]:
+        state = super().state_dict()
+        names = {key: Path(state[key]).name for key in PATHS}
+        best = {Path(path).name: score for path, score in state["best_k_models"].items()}
+        return {**state, **names, "best_k_models": best, "dirpath": ""}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        def here(name: str) -> str:
+            return str(Path(str(self.dirpath)) / name) if name else name
+
+        paths = {key: here(state_dict[key]) for key in PATHS}
+        best = {here(name): score for name, score in state_dict["best_k_models"].items()}
+        super().load_state_dict({**state_dict, **paths, "best_k_models": best, "dirpath": self.dirpath})

@@ -1,0 +1,41 @@
+"""What a checkpoint's weights took: rounds, samples, views and minutes."""
+
+from time import monotonic
+from typing import Any
+
+from lightning import Callback, LightningModule, Trainer
+
+from imagination.data.batches import Batch
+from imagination.ranks import ranks
+
+
+class TrainingRecord(Callback):
+    """Counts over all resumptions of a run; the counts lie in its checkpoints and go into an evaluation's tables."""
+
+    def __init__(self) -> None:
+        self._counts = {"rounds": 0, "samples": 0, "views": 0, "seconds": 0.0, "best": 0.0}
+        self._since = monotonic()
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._since = monotonic()
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int
+    ) -> None:
+        self._counts["samples"] += len(batch["rgb"]) * ranks()
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._counts["best"] = max(self._counts["best"], float(trainer.callback_metrics["val/iou"]))
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._counts["rounds"] = trainer.current_epoch + 1
+        self._counts["views"] = int(trainer.callback_metrics["data/collected_views"])
+
+    def state_dict(self) -> dict[str, Any]:
+        now = monotonic()
+        self._counts["seconds"] += now - self._since
+        self._since = now
+        return dict(self._counts)
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self._counts = dict(state_dict)

@@ -1,0 +1,74 @@
+"""Training until the validation score no longer rises."""
+
+import logging
+from typing import Any
+
+from lightning import Callback, LightningModule, Trainer
+
+from imagination.errors import check_range
+
+log = logging.getLogger(__name__)
+
+
+class UntilFlat(Callback):
+    """Lowers the learning rate each time the score stays flat, and ends training when it does after the last lowering.
+
+    Flat means that for `patience` validations in a row it was not above the best one by `margin`. Its state lies in
+    checkpoints, so that a resumed run does the same.
+
+    Args:
+        monitor: the score, e.g. "val/iou"; more is better.
+        patience: validations.
+        margin: by which a score must be above the best one.
+        lowerings: of the learning rate.
+        factor: that each lowering multiplies the learning rate with.
+        min_rounds: before which training does not end.
+    """
+
+    def __init__(
+        self, monitor: str, patience: int, margin: float, lowerings: int, factor: float, min_rounds: int
+    ) -> None:
+        self.monitor = monitor
+        self.patience = int(check_range("until_flat.patience", patience, 1, 10_000, "validations"))
+        self.margin = check_range("until_flat.margin", margin, 0.0, 1.0)
+        self.lowerings = int(check_range("until_flat.lowerings", lowerings, 0, 100))
+        self.factor = check_range("until_flat.factor", factor, 0.0, 1.0, open_low=True)
+        self.min_rounds = int(check_range("until_flat.min_rounds", min_rounds, 1, 10**9, "rounds"))
+        self._best, self._waited, self._lowered = float("-inf"), 0, 0
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        score = float(trainer.callback_metrics[self.monitor])
+        if score > self._best + self.margin:
+            self._best, self._waited = score, 0
+            return
+        self._waited += 1
+        if self._waited >= self.patience and self._lowered < self.lowerings:
+            for group in trainer.optimizers[0].param_groups:
+                group["lr"] *= self.factor
+            self._lowered, self._waited = self._lowered + 1, 0
+        self._end_if_flat(trainer, trainer.current_epoch + 1)
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._end_if_flat(trainer, trainer.current_epoch)  # a finished run that is resumed
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if not self.flat:
+            log.warning(
+                "Training ended after %d rounds, before %s was flat; raise trainer.max_epochs and go on with resume",
+                trainer.current_epoch,
+                self.monitor,
+            )
+
+    @property
+    def flat(self) -> bool:
+        """Whether the score stays flat after the last lowering."""
+        return self._lowered == self.lowerings and self._waited >= self.patience
+
+    def _end_if_flat(self, trainer: Trainer, rounds: int) -> None:
+        trainer.should_stop = trainer.should_stop or (self.flat and rounds >= self.min_rounds)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"best": self._best, "waited": self._waited, "lowered": self._lowered, "flat": self.flat}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self._best, self._waited, self._lowered = (state_dict[name] for name in ("best", "waited", "lowered"))

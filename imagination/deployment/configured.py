@@ -1,0 +1,58 @@
+"""A mapper as conf/mapper.yaml describes it."""
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from imagination import runs
+from imagination.deployment.load import load
+from imagination.errors import UserError, check_range
+from imagination.geometry.grid import Grid
+from imagination.geometry.rgbd import RgbdCamera
+from imagination.mapping.files import load_layer
+from imagination.mapping.module import ImaginationModule
+from imagination.mapping.semantic import SemanticMapper
+
+
+def validate(config: DictConfig) -> None:
+    """Check what the user may have got wrong before anything is read.
+
+    Raises:
+        UserError: on the first value that is missing or out of range.
+    """
+    runs.check_name(config.name)
+    if OmegaConf.is_missing(config, "unit"):
+        raise UserError("unit: got none, expected an .onnx, .pt2 or .ckpt file: unit=…")
+    check_range("aggregation_factor", config.aggregation_factor, 0.0, 1.0)
+    check_range("floor_height", config.floor_height, -1000.0, 1000.0, "m")
+    check_range("threshold", config.threshold, 0.0, 1.0, open_low=True)
+
+
+def module_of(config: DictConfig) -> ImaginationModule:
+    """The trained units that `unit` names.
+
+    Raises:
+        UserError: see `load`.
+    """
+    return load(config.unit if isinstance(config.unit, str) else list(config.unit))
+
+
+def mapper_of(config: DictConfig, module: ImaginationModule, camera: RgbdCamera) -> SemanticMapper:
+    """The mapper of a robot with this camera.
+
+    Raises:
+        UserError: see `SemanticMapper`.
+    """
+    grid = None
+    if config.extent is not None:
+        x, y = map(float, config.centre)
+        grid = Grid.centred(config.extent, module.description.ego.resolution, (x, y))
+    return SemanticMapper(
+        module,
+        camera,
+        instantiate(config.mapping.registration),
+        grid,
+        config.floor_height,
+        config.frame,
+        instantiate(config.limits),
+        load_layer(config.start) if config.start else None,
+    )

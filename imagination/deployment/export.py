@@ -1,0 +1,194 @@
+"""Checkpoints to files that run without training's code: ONNX and torch.export, each checked on real views."""
+
+import warnings
+from collections.abc import Sequence
+from functools import reduce
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from hydra.utils import instantiate
+from jaxtyping import Bool, Float32
+from omegaconf import DictConfig
+from torch import Tensor, nn
+
+from imagination.checkpoints import Checkpoint
+from imagination.deployment.onnx_module import KEY, NAMES, arrays
+from imagination.deployment.torch_module import ENTRY, Probabilities, describe, inputs
+from imagination.errors import UserError
+from imagination.geometry.morphology import kernel_cells
+from imagination.ground_truth.label import label
+from imagination.mapping.module import ImaginationModule, Observation, joined
+from imagination.runs import replacing
+from imagination.scenes.scene import Split
+from imagination.units.encoders import TimmEncoder
+from imagination.views.poses import sample_poses
+from imagination.views.view import Observer
+
+SUFFIXES = {"onnx": ".onnx", "torch_export": ".pt2"}
+"""Of each format's files."""
+
+PRECISIONS = {"onnx": ("float32", "int8"), "torch_export": ("bfloat16", "float32")}
+
+
+class Sample(NamedTuple):
+    """A real view: what the units are given, and what they were trained to answer."""
+
+    observation: Observation
+    label: Bool[np.ndarray, "c v v"]
+
+
+class Check(NamedTuple):
+    """How a file compares with PyTorch.
+
+    Attributes:
+        difference: largest, of probabilities.
+        iou, reference_iou: with the labels of the views, pooled over views and categories, at 0.5; of the file and of
+            PyTorch.
+    """
+
+    difference: float
+    iou: float
+    reference_iou: float
+
+
+class InBfloat16(nn.Module):
+    """Units whose convolutions are computed in bfloat16; places in the grid stay exact."""
+
+    def __init__(self, module: Probabilities) -> None:
+        super().__init__()
+        self.module = module
+
+    def forward(self, *observation: Tensor) -> Tensor:
+        with torch.autocast("cpu", torch.bfloat16):
+            probabilities: Tensor = self.module(*observation)
+        return probabilities
+
+
+def export(
+    checkpoints: Sequence[Checkpoint], path: Path, format: str, precision: str, calibration: Sequence[Sample]
+) -> None:
+    """Write the units of some checkpoints, side by side, into one file.
+
+    Args:
+        checkpoints: of different categories, trained with the same camera and grid.
+        path: of the file.
+        format: onnx or torch_export.
+        precision: one of PRECISIONS[format].
+        calibration: views that int8's ranges are taken from; one of them is traced.
+
+    Raises:
+        UserError: if what writes the format is not installed, the units do not fit together, or the disk is full.
+    """
+    module = Probabilities([checkpoint.model().unit for checkpoint in checkpoints])  # type: ignore[misc]
+    description = reduce(joined, [describe(checkpoint.config) for checkpoint in checkpoints])
+    text = description.to_json(precision=precision, normalisation=normalisation(module))
+    example = inputs(calibration[0].observation)
+    with torch.no_grad(), warnings.catch_warnings():  # torch's own, about its exporter
+        warnings.simplefilter("ignore")
+        traced = InBfloat16(module) if precision == "bfloat16" else module
+        program = torch.export.export(traced, example)
+        if format == "torch_export":
+            with replacing(path) as temporary:
+                torch.export.save(program, temporary, extra_files={ENTRY: text})
+        else:
+            write_onnx(program, path, text, calibration if precision == "int8" else ())
+
+
+def write_onnx(program: Any, path: Path, text: str, calibration: Sequence[Sample]) -> None:
+    """Write a program as ONNX with our description in it; convolutions in int8 if there are views to calibrate with.
+
+    Raises:
+        UserError: if the packages that write ONNX are not installed.
+    """
+    try:
+        import onnx
+        import onnxscript  # noqa: F401  torch's exporter needs it
+    except ImportError as error:
+        raise UserError(
+            f"format=onnx: {error.name} is not installed: pip install 'imagination[onnx]'"
+        ) from error
+    written = torch.onnx.export(
+        program,
+        input_names=list(NAMES),
+        output_names=["probabilities"],
+        dynamo=True,
+        verbose=False,
+    )
+    assert written is not None, "the exporter with dynamo returns a program"
+    model = written.model_proto
+    with replacing(path) as temporary:
+        if calibration:
+            model = quantised(model, temporary, calibration)
+        entry = model.metadata_props.add()
+        entry.key, entry.value = KEY, text
+        onnx.save(model, temporary)
+
+
+def quantised(model: Any, scratch: Path, calibration: Sequence[Sample]) -> Any:
+    """A copy of an ONNX model whose convolutions are computed in int8, their ranges taken from views."""
+    import onnx
+    from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+
+    class Views(CalibrationDataReader):  # type: ignore[misc]
+        def __init__(self) -> None:
+            names = {node.name for node in model.graph.input}
+            feeds = (arrays(sample.observation).items() for sample in calibration)
+            self.feeds = iter([{name: array for name, array in feed if name in names} for feed in feeds])
+
+        def get_next(self) -> dict[str, np.ndarray] | None:
+            return next(self.feeds, None)
+
+    quantize_static(
+        model,
+        scratch,
+        Views(),
+        quant_format=QuantFormat.QDQ,
+        op_types_to_quantize=["Conv"],
+        per_channel=True,
+        activation_type=QuantType.QUInt8,
+        weight_type=QuantType.QInt8,
+    )
+    return onnx.load(scratch)
+
+
+def sample_views(config: DictConfig, split: Split, count: int) -> list[Sample]:
+    """Views of homes of a split, as the checkpoint's run looked at them, a few a home."""
+    observer: Observer = instantiate(config.data.observer)
+    layers = [observer.categories.index(name) - 1 for name in config.unit_categories]
+    kernel = kernel_cells(config.kernels.imaginable, observer.ego.resolution)
+    rng = np.random.default_rng(0)
+    homes = observer.source.scenes(split)[:2]
+    samples = []
+    for number, home in enumerate(homes):
+        share = len(range(number, count, len(homes)))
+        for pose in sample_poses(observer.scene(home).free_space, share, rng):
+            view = observer.observe(home, pose, rng)
+            seen = Observation(view.rgb, view.depth, view.occupied, view.seen, observer.camera.mount_height)
+            samples.append(Sample(seen, label(view.object[layers], view.seen[None], kernel)))
+    return samples
+
+
+def compare(module: ImaginationModule, reference: ImaginationModule, samples: Sequence[Sample]) -> Check:
+    """Ask two modules about the same views."""
+    answers = [(module(sample.observation), reference(sample.observation)) for sample in samples]
+    labels = np.stack([sample.label for sample in samples])
+    ours, theirs = (np.stack(list(column)) for column in zip(*answers, strict=True))
+    return Check(float(np.abs(ours - theirs).max()), pooled_iou(ours, labels), pooled_iou(theirs, labels))
+
+
+def pooled_iou(probabilities: Float32[np.ndarray, "n c v v"], labels: Bool[np.ndarray, "n c v v"]) -> float:
+    """Intersection over union of predictions at 0.5 with labels, over all views together; 1 if both are empty."""
+    predicted = probabilities >= 0.5
+    union = int((predicted | labels).sum())
+    return float((predicted & labels).sum() / union) if union else 1.0
+
+
+def normalisation(module: Probabilities) -> list[dict[str, Any]]:
+    """What each unit does to colours, 0 to 255, itself."""
+    encoders = [part for part in module.modules() if isinstance(part, TimmEncoder)]
+    return [
+        {"mean": encoder.mean.flatten().tolist(), "deviation": encoder.deviation.flatten().tolist()}
+        for encoder in encoders
+    ]

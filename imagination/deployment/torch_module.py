@@ -1,0 +1,127 @@
+"""Units that run on torch: checkpoints as training wrote them, and programs of torch.export."""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float16, Float32, UInt8
+from omegaconf import DictConfig
+from torch import Tensor, nn
+from torch.func import functional_call
+
+from imagination.checkpoints import Checkpoint
+from imagination.deployment.onnx_module import arrays
+from imagination.errors import UserError
+from imagination.geometry.camera import Camera
+from imagination.geometry.grid import EgoGrid
+from imagination.geometry.projection import Band
+from imagination.mapping.module import Description, Observation
+from imagination.units.returns import Returns
+from imagination.units.unit import Unit
+
+ENTRY = "imagination.json"
+"""Our description in a file of torch.export."""
+
+
+class Probabilities(nn.Module):
+    """Units side by side as one function of a robot's observation.
+
+    Units that look at depth themselves hold the mount height that they were trained with; the robot's takes its place.
+
+    Args:
+        units: in evaluation mode.
+    """
+
+    def __init__(self, units: list[Unit]) -> None:
+        super().__init__()
+        self.units = nn.ModuleList(units).eval()
+        self.heights = [
+            f"{name}.mount_height" for name, part in self.units.named_modules() if isinstance(part, Returns)
+        ]
+
+    def forward(
+        self,
+        rgb: UInt8[Tensor, "b 3 h w"],
+        depth: Float16[Tensor, "b 1 h w"],
+        occupied: UInt8[Tensor, "b 1 v v"],
+        seen: UInt8[Tensor, "b 1 v v"],
+        mount_height: Float[Tensor, ""],
+    ) -> Float[Tensor, "b c v v"]:
+        """Probabilities of V_object of all units' categories."""
+        every = []
+        for index, unit in enumerate(self.units):
+            prefix = f"{index}."
+            own = {
+                name.removeprefix(prefix): mount_height for name in self.heights if name.startswith(prefix)
+            }
+            every.append(functional_call(unit, own, (rgb, depth, occupied, seen)))
+        return torch.cat(every, dim=1).float().sigmoid()
+
+
+class CheckpointModule:
+    """A checkpoint of imagination.train.
+
+    Raises:
+        UserError: if it cannot be read; see `Checkpoint`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        checkpoint = Checkpoint.read(path)
+        self.description = describe(checkpoint.config)
+        self._run = Probabilities([checkpoint.model().unit])  # type: ignore[list-item]
+
+    @torch.inference_mode()
+    def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
+        return _run(self._run, observation)
+
+
+class ExportedModule:
+    """A .pt2 file of imagination.export.
+
+    Raises:
+        UserError: if the file is broken or not ours.
+    """
+
+    def __init__(self, path: Path) -> None:
+        extra = {ENTRY: ""}
+        try:
+            with warnings.catch_warnings():  # torch's own, about how it reads its files
+                warnings.simplefilter("ignore")
+                program = torch.export.load(path, extra_files=extra)
+        except Exception as error:  # torch raises whatever the broken part makes it raise
+            raise UserError(
+                f"{path}: cannot be read as a program of torch.export ({error}); export it again"
+            ) from error
+        if not extra[ENTRY]:
+            raise UserError(f"{path}: was not written by imagination.export")
+        self.description = Description.from_json(extra[ENTRY], str(path))
+        self._run = program.module()
+
+    @torch.inference_mode()
+    def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
+        return _run(self._run, observation)
+
+
+def describe(config: DictConfig) -> Description:
+    """What a run's config says of its unit."""
+    from hydra.utils import instantiate
+
+    camera: Camera = instantiate(config.camera)
+    ego: EgoGrid = instantiate(config.ego)
+    obstacles: Band = instantiate(config.obstacles)
+    names = tuple(config.unit_categories)
+    colours = tuple(tuple(config.categories[name].colour) for name in names)
+    mapping = config.mapping.valid_threshold, config.mapping.valid_kernel
+    return Description(names, colours, camera, ego, Band(*map(float, obstacles)), *mapping)
+
+
+def inputs(observation: Observation) -> tuple[Tensor, ...]:
+    """What `Probabilities` takes."""
+    return tuple(torch.from_numpy(array) for array in arrays(observation).values())
+
+
+def _run(function: Any, observation: Observation) -> Float32[np.ndarray, "c v v"]:
+    probabilities: np.ndarray = function(*inputs(observation))[0].numpy()
+    return probabilities

@@ -1,0 +1,75 @@
+"""Trained units as files for robots: `python -m imagination.export ckpt=…/best.ckpt format=onnx`."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+from imagination.config import command
+from imagination.errors import UserError, check_choice, check_range
+
+log = logging.getLogger(__name__)
+
+CALIBRATION_VIEWS = 64
+"""Of training homes, that the ranges of int8 are taken from."""
+
+
+def validate(config: DictConfig) -> None:
+    """Check what the user may have got wrong before anything is read.
+
+    Raises:
+        UserError: on the first value that is missing or out of range.
+    """
+    if OmegaConf.is_missing(config, "ckpt"):
+        raise UserError("ckpt: got none, expected ckpt=outputs/<experiment>/latest/checkpoints/best.ckpt")
+    precisions = {"onnx": ("float32", "int8"), "torch_export": ("bfloat16", "float32")}
+    check_choice("format", config.format, precisions)
+    check_choice(f"precision with format={config.format}", config.precision, precisions[config.format])
+    check_range("views", config.views, 1, 10_000, "views")
+    check_range("tolerance", config.tolerance, 0.0, 1.0)
+    check_range("max_loss", config.max_loss, 0.0, 1.0)
+
+
+@command("export", validate)
+def main(config: DictConfig) -> None:
+    """Write the file, ask it and PyTorch about the same views, and keep it if they agree."""
+    from imagination.checkpoints import Checkpoint  # with it comes torch, which --help does without
+    from imagination.deployment import export
+    from imagination.deployment.load import load
+
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    paths = [config.ckpt] if isinstance(config.ckpt, str) else list(config.ckpt)
+    checkpoints = [Checkpoint.read(path) for path in paths]
+    file = Path(config.file) if config.file else Path(paths[0]).with_suffix(export.SUFFIXES[config.format])
+    if file.suffix != export.SUFFIXES[config.format]:
+        raise UserError(f"file: got {file}, expected a name that ends in {export.SUFFIXES[config.format]}")
+    run = checkpoints[0].config
+    run.cache.folder = config.paths.cache
+    run.unit_categories = [name for checkpoint in checkpoints for name in checkpoint.config.unit_categories]
+    samples = export.sample_views(run, "val", config.views)
+    calibration = (
+        export.sample_views(run, "train", CALIBRATION_VIEWS) if config.precision == "int8" else samples
+    )
+    export.export(checkpoints, file, config.format, config.precision, calibration)
+    check = export.compare(load(file), load(paths), samples)
+    told = (
+        f"on {len(samples)} views: largest difference {check.difference:.2g}, IoU {check.iou:.4f} "
+        f"(PyTorch {check.reference_iou:.4f})"
+    )
+    if config.precision == "float32":
+        good, limit = check.difference <= config.tolerance, f"a difference of at most {config.tolerance}"
+    else:
+        good, limit = (
+            check.reference_iou - check.iou <= config.max_loss,
+            f"a loss of IoU of at most {config.max_loss}",
+        )
+    if not good:
+        file.unlink()
+        raise UserError(f"{file}: {told}, expected {limit}; nothing is kept, choose another precision")
+    log.info("%s, %.1f MB, %s", file, file.stat().st_size / 1e6, told)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""A semantic map from a recording: `python -m imagination.map recording=tum recording.path=FOLDER unit=chair.onnx`."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from imagination import runs
+from imagination.config import command
+from imagination.deployment import configured
+from imagination.errors import UserError
+from imagination.mapping.semantic import SemanticMapper
+from imagination.recordings.recording import BrokenRecordingError, Frames, Recording
+from imagination.viewers.viewer import Viewer
+
+log = logging.getLogger(__name__)
+
+
+def validate(config: DictConfig) -> None:
+    """Check what the user may have got wrong before anything is read.
+
+    Raises:
+        UserError: on the first value that is missing or out of range.
+    """
+    configured.validate(config)
+    if OmegaConf.is_missing(config.recording, "path"):
+        raise UserError("recording.path: got none, expected a folder or a bag: recording.path=…")
+
+
+@command("map", validate)
+def main(config: DictConfig) -> None:
+    """Map a recording."""
+    module = configured.module_of(config)
+    recording: Recording = instantiate(config.recording, _convert_="all")
+    viewer: Viewer = instantiate(config.viewer)
+    mapper = configured.mapper_of(config, module, recording.camera)
+    folder = runs.create_folder(Path(config.paths.outputs) / config.name, runs.now())
+    config.paths.run = str(folder)
+    with runs.logging_to(folder / "run.log"):
+        runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
+        viewer.open(folder, mapper)
+        try:
+            status = run(mapper, Frames(recording), viewer)
+        finally:
+            viewer.close()
+        mapper.save(folder, config.threshold)
+        runs.point_latest(folder)
+        log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
+    sys.exit(status)
+
+
+def run(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
+    """Register every frame; the exit code: 0, 1 if the recording is damaged, 130 after Ctrl-C.
+
+    Raises:
+        UserError: if no frame could be mapped.
+    """
+    status, outside, refused = 0, 0, ""
+    try:
+        for frame in frames:
+            try:
+                update = mapper.update(frame.rgb, frame.depth, frame.camera_to_world)
+            except UserError as error:
+                frames.refuse("refused by the mapper (see the first below)")
+                refused = refused or str(error)
+                continue
+            outside += update.outside
+            viewer.show(frame.stamp, update)
+    except BrokenRecordingError as error:
+        status = 1
+        log.error("error: %s; what came before it is mapped and saved", error)
+    except KeyboardInterrupt:
+        status = 130
+        log.warning("Interrupted; the map so far is saved")
+    if refused:
+        log.warning("The first frame that was refused: %s", refused)
+    if not frames.mapped:
+        raise UserError(f"recording: no frame could be mapped. {frames.summary()}")
+    log.info("%s", frames.summary())
+    if outside:
+        log.warning(
+            "%d cells lie outside the map of fixed size and are lost; enlarge or move it (extent, centre)",
+            outside,
+        )
+    return status
+
+
+if __name__ == "__main__":
+    main()

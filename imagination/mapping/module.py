@@ -1,0 +1,177 @@
+"""The imagination module as the mapper sees it: the units of all categories side by side, whatever runs them."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import reduce
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from imagination.errors import UserError, check_range
+from imagination.geometry.camera import Camera
+from imagination.geometry.grid import MAX_CELLS, EgoGrid
+from imagination.geometry.morphology import kernel_cells
+from imagination.geometry.projection import Band
+from imagination.ground_truth.label import neighbourhood
+
+VERSION = 1
+"""Of the description in a unit's file."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a unit was trained with; part of its file.
+
+    Attributes:
+        categories: that it imagines, one map each.
+        colours: of the categories in pictures, RGB, 0 to 255.
+        camera: whose images it takes.
+        ego: grid of its maps.
+        obstacles: heights that count as occupied.
+        valid_threshold, valid_kernel: tau_valid, and epsilon in metres, of M*_seen.
+    """
+
+    categories: tuple[str, ...]
+    colours: tuple[tuple[int, int, int], ...]
+    camera: Camera
+    ego: EgoGrid
+    obstacles: Band
+    valid_threshold: float = 0.5
+    valid_kernel: float = 0.62
+
+    def __post_init__(self) -> None:
+        if not self.categories or len(set(self.categories)) < len(self.categories):
+            raise UserError(
+                f"units: got the categories {list(self.categories)}, expected each once and at least one"
+            )
+        if len(self.colours) != len(self.categories):
+            raise UserError(f"units: got {len(self.colours)} colours for {len(self.categories)} categories")
+        check_range("ego.resolution", self.ego.resolution, 0.005, 1.0, "m")
+        check_range("ego.cells", self.ego.cells, 3, MAX_CELLS, "cells")
+        check_range("valid_threshold", self.valid_threshold, 0.0, 1.0)
+        check_range("valid_kernel", self.valid_kernel, 0.0, 100.0, "m")
+
+    def to_json(self, **more: Any) -> str:
+        """The description as text, with further entries for people."""
+        return json.dumps({"version": VERSION, **asdict(self), "obstacles": self.obstacles._asdict(), **more})
+
+    @classmethod
+    def from_json(cls, text: str, origin: str) -> "Description":
+        """Read a description.
+
+        Raises:
+            UserError: if it is none or of another version.
+        """
+        try:
+            values: Mapping[str, Any] = json.loads(text)
+            if values["version"] != VERSION:
+                raise UserError(
+                    f"{origin}: got version {values['version']}, expected {VERSION}; export it again"
+                )
+            return cls(
+                tuple(map(str, values["categories"])),
+                tuple((int(r), int(g), int(b)) for r, g, b in values["colours"]),
+                Camera(**values["camera"]),
+                EgoGrid(**values["ego"]),
+                Band(**values["obstacles"]),
+                float(values["valid_threshold"]),
+                float(values["valid_kernel"]),
+            )
+        except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+            raise UserError(
+                f"{origin}: its description cannot be read ({error!r}); export it with imagination.export"
+            ) from error
+
+
+class Observation(NamedTuple):
+    """What a unit is given: an image of the camera it was trained with, and the depth's projection.
+
+    Attributes:
+        rgb, depth: colour, and metres along the optical axis (0: no return).
+        occupied, seen: the projection, as `project_depth` makes it.
+        mount_height: of the camera above the floor, metres.
+    """
+
+    rgb: UInt8[np.ndarray, "h w 3"]
+    depth: Float32[np.ndarray, "h w"]
+    occupied: Bool[np.ndarray, "v v"]
+    seen: Bool[np.ndarray, "v v"]
+    mount_height: float
+
+
+@runtime_checkable
+class ImaginationModule(Protocol):
+    """Trained units, ready to be asked."""
+
+    description: Description
+
+    def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
+        """Probabilities of V_object of each category."""
+
+
+class SideBySide:
+    """Several modules as one.
+
+    Raises:
+        UserError: if they are of different cameras or grids, or share a category.
+    """
+
+    def __init__(self, modules: Sequence[ImaginationModule]) -> None:
+        self.modules = list(modules)
+        self.description = reduce(joined, (module.description for module in modules))
+
+    def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
+        return np.concatenate([module(observation) for module in self.modules])
+
+
+class Statement(NamedTuple):
+    """What views say.
+
+    Attributes:
+        values: of cells.
+        mask: cells that they have something to say about.
+        imagined: those of them that they did not see; None if they saw all.
+    """
+
+    values: Float32[np.ndarray, "*b v v"]
+    mask: Bool[np.ndarray, "*b v v"]
+    imagined: Bool[np.ndarray, "*b v v"] | None = None
+
+
+def valid_imagination(
+    probabilities: Float32[np.ndarray, "*b v v"],
+    seen: Bool[np.ndarray, "*#b v v"],
+    threshold: float,
+    kernel: float,
+    resolution: float,
+) -> Statement:
+    """V_valid = prediction * M*_seen, M*_seen = dilation([prediction >= tau_valid] * V_seen, epsilon).
+
+    A view has something to say about the cells it saw, where it denies what is not valid, and about M*_seen.
+
+    Args:
+        probabilities: what the units imagine.
+        seen: V_seen.
+        threshold: tau_valid.
+        kernel: epsilon, metres.
+        resolution: metres per cell.
+    """
+    valid = neighbourhood(probabilities >= threshold, seen, kernel_cells(kernel, resolution))
+    return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen, valid & ~seen)
+
+
+def joined(one: Description, other: Description) -> Description:
+    """The description of units side by side.
+
+    Raises:
+        UserError: if they are of different cameras or grids, or share a category.
+    """
+    for name in ("camera", "ego", "obstacles", "valid_threshold", "valid_kernel"):
+        if getattr(one, name) != getattr(other, name):
+            raise UserError(
+                f"units: got the {name} {getattr(one, name)} of {', '.join(one.categories)} and "
+                f"{getattr(other, name)} of {', '.join(other.categories)}, expected one; use units trained alike"
+            )
+    return replace(one, categories=one.categories + other.categories, colours=one.colours + other.colours)

@@ -1,0 +1,38 @@
+"""A robot's camera from plain values, as in conf/recording and in camera.yaml of a plain folder."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from imagination.errors import UserError
+from imagination.geometry.rgbd import Intrinsics, RgbdCamera
+
+
+def camera_of(values: Mapping[str, Any], origin: str = "camera") -> RgbdCamera:
+    """A robot's camera from plain values, angles in degrees.
+
+    Raises:
+        UserError: on a missing, unknown or impossible value.
+    """
+    values = dict(values)
+    try:
+        colour = intrinsics_of(values.pop("colour"))
+        depth = intrinsics_of(given) if (given := values.pop("depth", None)) else None
+        beside = np.array(values.pop("depth_to_colour", None) or np.eye(4), np.float64)
+        height, tilt = (
+            float(values.pop("mount_height", 1.25)),
+            [values.pop(name, 0.0) for name in ("pitch", "roll")],
+        )
+        if values:
+            raise UserError(f"{origin}: got the unknown keys {', '.join(map(str, values))}")
+        return RgbdCamera(colour, depth, beside, height, *np.deg2rad(tilt).tolist())
+    except KeyError as error:
+        raise UserError(f"{origin}: has no {error}") from error
+    except (TypeError, AttributeError) as error:
+        raise UserError(f"{origin}: holds a value that cannot be read ({error})") from error
+
+
+def intrinsics_of(values: Mapping[str, Any]) -> Intrinsics:
+    """Intrinsics from plain values; see `camera_of`."""
+    return Intrinsics(**{**values, "distortion": tuple(values.get("distortion") or ())})

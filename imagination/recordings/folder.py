@@ -1,0 +1,92 @@
+"""The plain folder: images by name, a table of poses, the camera in one YAML file (docs/recordings.md)."""
+
+import csv
+from collections import Counter
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jaxtyping import Float64
+
+from imagination.errors import UserError, check_range
+from imagination.geometry.pose import Pose
+from imagination.recordings.cameras import camera_of
+from imagination.recordings.images import read_colour, read_depth
+from imagination.recordings.recording import BrokenRecordingError, Images, Shot
+from imagination.recordings.trajectory import matrix_of
+from imagination.recordings.tum import to_stamp
+
+PLANAR, FULL = ("x", "y", "theta"), ("x", "y", "z", "qx", "qy", "qz", "qw")
+"""Columns of poses.csv: of the robot on the floor, or of the colour camera."""
+
+
+class FolderRecording:
+    """A plain folder.
+
+    camera.yaml: `colour` (width, height, fx, fy, cx, cy, distortion), `depth` where that is another camera, with
+    `depth_to_colour` (4 x 4) where it is at another place; `depth_scale`; for planar poses `mount_height`, `pitch` and
+    `roll` (degrees). frames.csv: time, colour, depth (paths in the folder), and x, y, theta of the robot or x, y, z,
+    qx, qy, qz, qw of the colour camera; no pose where these are empty.
+
+    Args:
+        path: of the folder.
+        floor_height: world z of the floor, metres, for planar poses.
+
+    Raises:
+        UserError: if a file is missing or broken.
+    """
+
+    def __init__(self, path: str, floor_height: float = 0.0) -> None:
+        self.folder, self.floor_height = Path(path), floor_height
+        self.skipped: Counter[str] = Counter()
+        values = self._read_camera()
+        self.depth_scale = check_range(
+            "camera.yaml: depth_scale", values.pop("depth_scale", 1000.0), 1.0, 1e6
+        )
+        self.camera = camera_of(values, str(self.folder / "camera.yaml"))
+        try:
+            with open(self.folder / "frames.csv", newline="") as file:
+                reader = csv.DictReader(file)
+                self.rows = list(reader)
+                columns = set(reader.fieldnames or ())
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise UserError(f"{self.folder / 'frames.csv'}: cannot be read ({error})") from error
+        self.pose_columns = next((names for names in (FULL, PLANAR) if columns.issuperset(names)), ())
+        if not self.rows or not self.pose_columns or not columns.issuperset({"time", "colour", "depth"}):
+            raise UserError(
+                f"{self.folder / 'frames.csv'}: got {len(self.rows)} rows of the columns {sorted(columns)}, expected "
+                f"time, colour, depth and {', '.join(PLANAR)} or {', '.join(FULL)}"
+            )
+
+    def shots(self) -> Iterator[Shot]:
+        """The rows of frames.csv; see `Recording`."""
+        for number, row in enumerate(self.rows, 2):
+            place = f"{self.folder / 'frames.csv'}, line {number}"
+            try:
+                stamp = to_stamp(row["time"])
+                given = [row[name] for name in self.pose_columns]
+                pose = self._pose([float(text) for text in given]) if all(given) else None
+            except (TypeError, ValueError) as error:
+                raise BrokenRecordingError(f"{place}: {error}") from error
+            yield Shot(stamp, pose, partial(self._load, row["colour"], row["depth"]))
+
+    def _load(self, colour: str, depth: str) -> Images:
+        return Images(read_colour(self.folder / colour), read_depth(self.folder / depth, self.depth_scale))
+
+    def _pose(self, numbers: list[float]) -> Float64[np.ndarray, "4 4"]:
+        if self.pose_columns == PLANAR:
+            return self.camera.to_world(Pose(*numbers), self.floor_height)
+        return matrix_of(numbers[:3], numbers[3:])
+
+    def _read_camera(self) -> dict[str, Any]:
+        path = self.folder / "camera.yaml"
+        try:
+            values = yaml.safe_load(path.read_text())
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise UserError(f"{path}: cannot be read ({' '.join(str(error).split())})") from error
+        if not isinstance(values, dict):
+            raise UserError(f"{path}: got {values!r}, expected the camera's keys")
+        return values

@@ -1,0 +1,108 @@
+"""Images as files and recordings hold them, to arrays: colour to RGB, depth to metres."""
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from imagination.recordings.recording import BrokenRecordingError
+
+COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
+"""Of ROS' compressedDepth: format, and the two parameters of the inverse depth that float images are coded with."""
+
+
+def read_colour(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """Read an image file as RGB.
+
+    Raises:
+        BrokenRecordingError: if it is missing or broken.
+    """
+    return decode_colour(_bytes(path), str(path))
+
+
+def read_depth(path: Path, scale: float) -> Float32[np.ndarray, "h w"]:
+    """Read a depth image: 16-bit PNG or PGM, .npy, or any image of one channel that OpenCV reads.
+
+    Args:
+        path: of the file.
+        scale: units a metre; .npy files of floats hold metres, whatever it is.
+
+    Raises:
+        BrokenRecordingError: if it is missing, broken or of three channels.
+    """
+    if path.suffix == ".npy":
+        try:
+            raw = np.load(path, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise BrokenRecordingError(f"{path}: cannot be read ({error})") from error
+        if raw.ndim != 2:
+            raise BrokenRecordingError(
+                f"{path}: got an array of shape {raw.shape}, expected rows x columns of depth"
+            )
+    else:
+        raw = decode_depth(_bytes(path), str(path))
+    return to_metres(raw, 1.0 if np.issubdtype(raw.dtype, np.floating) else scale)
+
+
+def decode_colour(data: bytes, origin: str) -> UInt8[np.ndarray, "h w 3"]:
+    """Decode a compressed colour image.
+
+    Raises:
+        BrokenRecordingError: if it cannot be decoded.
+    """
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
+    if image is None:
+        raise BrokenRecordingError(f"{origin}: {len(data)} bytes that are no image")
+    return image
+
+
+def decode_depth(data: bytes, origin: str) -> np.ndarray:
+    """Decode a compressed image of one channel, its values as they are.
+
+    Raises:
+        BrokenRecordingError: if it cannot be decoded, or has several channels.
+    """
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    if image is None:
+        raise BrokenRecordingError(f"{origin}: {len(data)} bytes that are no image")
+    if image.ndim != 2 or image.dtype == np.uint8:
+        raise BrokenRecordingError(
+            f"{origin}: got {image.dtype} of shape {image.shape}, expected depth, one channel of 16 bits or floats"
+        )
+    return image
+
+
+def decode_compressed_depth(data: bytes, encoding: str, origin: str) -> np.ndarray:
+    """Decode ROS' compressedDepth: a header, then a PNG of the depth (16UC1) or of its inverse (32FC1).
+
+    The format is that of the ROS package compressed_depth_image_transport.
+    """
+    if len(data) <= COMPRESSED_DEPTH_HEADER.size:
+        raise BrokenRecordingError(f"{origin}: {len(data)} bytes that are no compressedDepth image")
+    _, a, b = COMPRESSED_DEPTH_HEADER.unpack_from(data)
+    image = decode_depth(data[COMPRESSED_DEPTH_HEADER.size :], origin)
+    if not encoding.startswith("32FC1"):
+        return image
+    return np.where(image > 0, a / np.maximum(image.astype(np.float32) - np.float32(b), 1e-6), 0).astype(
+        np.float32
+    )
+
+
+def to_metres(raw: np.ndarray, scale: float) -> Float32[np.ndarray, "h w"]:
+    """Depth in metres; holes, be they 0, NaN, infinite or negative, become 0.
+
+    Args:
+        raw: depth image.
+        scale: units a metre, e.g. 1000 for millimetres.
+    """
+    depth = raw.astype(np.float32) / np.float32(scale)
+    return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise BrokenRecordingError(f"{path}: cannot be read ({error.strerror})") from error

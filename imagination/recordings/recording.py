@@ -1,0 +1,117 @@
+"""What every recording gives: images with the camera's pose, one after the other, and a count of what was left out."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from imagination.errors import UserError
+from imagination.geometry.rgbd import RgbdCamera
+
+Stamp = int
+"""Nanoseconds."""
+
+
+class Images(NamedTuple):
+    """What a camera took at one time.
+
+    Attributes:
+        rgb: colour.
+        depth: metres along the optical axis, 0 where nothing returned.
+    """
+
+    rgb: UInt8[np.ndarray, "h w 3"]
+    depth: Float32[np.ndarray, "k l"]
+
+
+class Shot(NamedTuple):
+    """One entry of a recording.
+
+    Attributes:
+        stamp: its time.
+        camera_to_world: of the colour camera's optical frame; None if there is no pose at that time.
+        load: reads the images.
+    """
+
+    stamp: Stamp
+    camera_to_world: Float64[np.ndarray, "4 4"] | None
+    load: Callable[[], Images]
+
+
+class Frame(NamedTuple):
+    """An entry that can be mapped: see `Shot` and `Images`."""
+
+    stamp: Stamp
+    rgb: UInt8[np.ndarray, "h w 3"]
+    depth: Float32[np.ndarray, "k l"]
+    camera_to_world: Float64[np.ndarray, "4 4"]
+
+
+class BrokenRecordingError(UserError):
+    """A recording that cannot be read any further; what came before is sound."""
+
+
+@runtime_checkable
+class Recording(Protocol):
+    """A recording on disk.
+
+    Attributes:
+        camera: that took the images.
+        skipped: how many entries the recording itself left out, by the reason.
+    """
+
+    camera: RgbdCamera
+    skipped: Counter[str]
+
+    def shots(self) -> Iterator[Shot]:
+        """Its entries, in the order of the recording.
+
+        Raises:
+            BrokenRecordingError: where it is damaged, with the place.
+        """
+
+
+@dataclass
+class Frames:
+    """The frames of a recording that can be mapped, in order of time; the others are counted.
+
+    Attributes:
+        recording: they come from.
+        mapped: frames given so far.
+    """
+
+    recording: Recording
+    mapped: int = 0
+    _skipped: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def skipped(self) -> Counter[str]:
+        """Entries left out, by the reason."""
+        return self.recording.skipped + self._skipped
+
+    def refuse(self, reason: str) -> None:
+        """Count the frame that was given last as left out after all."""
+        self.mapped -= 1
+        self._skipped[reason] += 1
+
+    def __iter__(self) -> Iterator[Frame]:
+        last: Stamp | None = None
+        for shot in self.recording.shots():
+            if shot.camera_to_world is None:
+                self._skipped["no pose at its time"] += 1
+            elif last is not None and shot.stamp <= last:
+                self._skipped["repeated time stamp" if shot.stamp == last else "time stamp out of order"] += 1
+            else:
+                last = shot.stamp
+                images = shot.load()
+                self.mapped += 1
+                yield Frame(shot.stamp, *images, shot.camera_to_world)
+
+    def summary(self) -> str:
+        """How many frames were mapped and why others were not."""
+        lines = [f"{self.mapped} frames mapped, {self.skipped.total()} skipped"]
+        lines += [f"    {count} x {reason}" for reason, count in self.skipped.most_common()]
+        return "\n".join(lines)

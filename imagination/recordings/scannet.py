@@ -1,0 +1,116 @@
+"""Folders as ScanNet's sensor files are exported: color/, depth/, pose/ and intrinsic/, one file a frame."""
+
+from collections import Counter
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from imagination.errors import UserError, check_range
+from imagination.geometry.rgbd import Intrinsics, RgbdCamera, check_transform
+from imagination.recordings.images import read_colour, read_depth
+from imagination.recordings.recording import Images, Shot
+from imagination.recordings.trajectory import SECOND
+
+
+class ScanNetRecording:
+    """A ScanNet-style folder: color/N.jpg, depth/N.png or .pgm, pose/N.txt (camera to world, 4 x 4, z up).
+
+    intrinsic/ holds intrinsic_color.txt and intrinsic_depth.txt, and, if they are not one camera, extrinsic_color.txt
+    and extrinsic_depth.txt: from each camera to the frame that the poses are of. Frames without a pose, which ScanNet
+    writes as infinity, are skipped.
+
+    Args:
+        path: of the folder.
+        depth_scale: units of the depth images a metre.
+        rate: frames a second; the files hold no time.
+
+    Raises:
+        UserError: if a folder or the intrinsics are missing or broken.
+    """
+
+    def __init__(self, path: str, depth_scale: float, rate: float) -> None:
+        self.folder = Path(path)
+        self.depth_scale = check_range("recording.depth_scale", depth_scale, 1.0, 1e6, "units a metre")
+        self.rate = check_range("recording.rate", rate, 0.001, 1000.0, "frames a second")
+        self.skipped: Counter[str] = Counter()
+        self.colour, self.depth, self.poses = (
+            numbered(self.folder / name) for name in ("color", "depth", "pose")
+        )
+        if missing := len(self.colour.keys() - self.depth.keys()):
+            self.skipped["colour image without a depth image"] += missing
+        self.frames = sorted(self.colour.keys() & self.depth.keys())
+        if not self.frames:
+            raise UserError(
+                f"{self.folder}: no number is both in color/ and in depth/; expected color/0.jpg, depth/0.png"
+            )
+        colour, depth = (self._extrinsic(name) for name in ("color", "depth"))
+        self._colour_to_pose = colour
+        first = self.frames[0]
+        sizes = read_colour(self.colour[first]).shape, read_depth(self.depth[first], depth_scale).shape
+        self.camera = RgbdCamera(
+            self._intrinsic("color", sizes[0]),
+            self._intrinsic("depth", sizes[1]),
+            np.linalg.inv(colour) @ depth,
+        )
+
+    def shots(self) -> Iterator[Shot]:
+        """Frames by their number; see `Recording`."""
+        for number in self.frames:
+            yield Shot(round(number * SECOND / self.rate), self._pose(number), partial(self._load, number))
+
+    def _load(self, number: int) -> Images:
+        return Images(read_colour(self.colour[number]), read_depth(self.depth[number], self.depth_scale))
+
+    def _pose(self, number: int) -> Float64[np.ndarray, "4 4"] | None:
+        path = self.poses.get(number)
+        if path is None:
+            return None
+        pose = read_matrix(path)
+        return pose @ self._colour_to_pose if np.isfinite(pose).all() else None
+
+    def _intrinsic(self, name: str, shape: tuple[int, ...]) -> Intrinsics:
+        k = read_matrix(self.folder / "intrinsic" / f"intrinsic_{name}.txt")
+        (fx, _, cx), (_, fy, cy) = k[:2, :3].tolist()
+        return Intrinsics(shape[1], shape[0], fx, fy, cx, cy)
+
+    def _extrinsic(self, name: str) -> Float64[np.ndarray, "4 4"]:
+        path = self.folder / "intrinsic" / f"extrinsic_{name}.txt"
+        matrix = read_matrix(path) if path.is_file() else np.eye(4)
+        check_transform(str(path), matrix)
+        return matrix
+
+
+def numbered(folder: Path) -> dict[int, Path]:
+    """Files of a folder whose names are numbers.
+
+    Raises:
+        UserError: if there is none.
+    """
+    found = {int(path.stem): path for path in folder.glob("*") if path.stem.isdigit()}
+    if not found:
+        raise UserError(
+            f"{folder}: holds no file named by a number; expected color/0.jpg, depth/0.png, pose/0.txt and on"
+        )
+    return found
+
+
+def read_matrix(path: Path) -> Float64[np.ndarray, "4 4"]:
+    """Read 4 x 4 numbers, or 3 x 3 as the upper left of such.
+
+    Raises:
+        UserError: if the file is missing or holds something else.
+    """
+    try:
+        numbers = np.array(
+            [[float(word) for word in line.split()] for line in path.read_text().splitlines() if line]
+        )
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read as a matrix ({error})") from error
+    if numbers.shape not in ((4, 4), (3, 3)):
+        raise UserError(f"{path}: got an array of shape {numbers.shape}, expected 4 x 4 or 3 x 3 numbers")
+    matrix = np.eye(4)
+    matrix[: len(numbers), : len(numbers)] = numbers
+    return matrix

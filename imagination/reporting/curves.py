@@ -1,0 +1,53 @@
+"""Training curves from a run's TensorBoard files."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from imagination.evaluation.single_views import CELLS
+from imagination.reporting.score_figures import Curve
+
+FOLDER = "tensorboard"
+"""In a run's folder."""
+
+
+class Chart(NamedTuple):
+    """Curves that share axes."""
+
+    stem: str
+    title: str
+    up: str
+    curves: dict[str, Curve]
+
+
+def read(folder: Path) -> dict[str, Curve]:
+    """Every scalar of a TensorBoard folder by tag: steps and values; without any where nothing was logged."""
+    # slow to import
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(folder), size_guidance={"scalars": 0})
+    events.Reload()
+    curves: dict[str, Curve] = {}
+    for tag in events.Tags()["scalars"]:
+        points = events.Scalars(tag)
+        curves[tag] = [point.step for point in points], [point.value for point in points]
+    return curves
+
+
+def charts(curves: dict[str, Curve]) -> list[Chart]:
+    """What is drawn of them: losses, IoU of single views, global IoU by approach, learning rate."""
+    made = []
+    tags = {"training": "train/loss", "validation": "val/loss"}
+    if losses := {name: curves[tag] for name, tag in tags.items() if tag in curves}:
+        made.append(Chart("curve_loss", "Weighted loss", "loss", losses))
+    regions = {cells: f"val/iou{'' if cells == 'all' else '_' + cells}" for cells in CELLS}
+    if found := {cells: curves[tag] for cells, tag in regions.items() if tag in curves}:
+        made.append(Chart("curve_iou", "Single views of validation homes", "egocentric IoU", found))
+    parts = [tag.split("/") for tag in curves if tag.startswith("global/") and tag.endswith("/val")]
+    for category in dict.fromkeys(part[1] for part in parts):
+        of = {part[2]: curves["/".join(part)] for part in parts if part[1] == category}
+        title = f"Global maps of a few validation homes, {category}"
+        made.append(Chart(f"curve_global_{category}", title, "pooled IoU", of))
+    if "train/learning_rate" in curves:
+        one = {"learning rate": curves["train/learning_rate"]}
+        made.append(Chart("curve_learning_rate", "Learning rate", "learning rate", one))
+    return made

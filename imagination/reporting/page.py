@@ -1,0 +1,94 @@
+"""A report as one HTML page that needs nothing else, and its tables and figures as files."""
+
+import base64
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from imagination.evaluation import figures, style
+from imagination.reporting import layout
+from imagination.reporting.content import Content, Drawing
+from imagination.runs import write_text
+
+PAGE = "report.html"
+"""In the folder that is reported on."""
+
+DPI = 120
+"""Of figures in the page."""
+
+
+def write(folder: Path, content: Content) -> Path:
+    """Write report.html, and its tables (CSV, Markdown, LaTeX) and figures (PNG, PDF) beside it.
+
+    Raises:
+        UserError: if the disk is full or may not be written.
+    """
+    write_tables(folder / "tables", content)
+    write_figures(folder / "figures", content)
+    page = folder / PAGE
+    write_text(page, html(content))
+    return page
+
+
+def write_tables(folder: Path, content: Content) -> None:
+    """Each table in the paper's layout as CSV, Markdown and LaTeX."""
+    for section in content.sections:
+        for table in section.layouts:
+            write_text(folder / f"{table.stem}.csv", layout.to_csv(table))
+            write_text(folder / f"{table.stem}.md", layout.to_markdown(table))
+            write_text(folder / f"{table.stem}.tex", layout.to_latex(table))
+
+
+def write_figures(folder: Path, content: Content, kinds: tuple[str, ...] = ("png", "pdf")) -> None:
+    """Each figure as files, for a light page."""
+    for drawing in drawings(content):
+        with style.theme("light"):
+            figure = drawing.draw()
+            for kind in kinds:
+                figures.save(figure, folder / f"{drawing.stem}.{kind}")
+
+
+def drawings(content: Content) -> Iterator[Drawing]:
+    """All figures of a report."""
+    return (drawing for section in content.sections for drawing in section.drawings)
+
+
+def html(content: Content) -> str:
+    """The page: pictures inside it, nothing loaded, no scripts; all text escaped."""
+    return (
+        environment()
+        .get_template("page.html.j2")
+        .render(content=content, picture=picture, colours=style.THEMES)
+    )
+
+
+def environment() -> Environment:
+    """Templates of this package; text is escaped in those of pages."""
+    loader = PackageLoader("imagination.reporting", "templates")
+    return Environment(
+        loader=loader,
+        autoescape=lambda name: bool(name and name.endswith(".html.j2")),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def picture(drawing: Drawing) -> Markup:
+    """A figure in both themes, as an element of the page."""
+    found = {}
+    for name in style.THEMES:
+        with style.theme(name):
+            figure, file = drawing.draw(), BytesIO()
+            FigureCanvasAgg(figure)
+            figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
+            found[name] = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
+            width, height = (figure.get_size_inches() * 96).round().astype(int).tolist()
+    return Markup(  # Markup escapes what it formats
+        '<picture><source media="(prefers-color-scheme: dark)" srcset="{}">'
+        '<img src="{}" alt="{}" width="{}" height="{}"></picture>'
+    ).format(found["dark"], found["light"], drawing.caption, width, height)

@@ -1,0 +1,267 @@
+"""What a results folder holds: counts of every run, read from tables/runs.csv or recounted from the saved maps."""
+
+import csv
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jaxtyping import Int64
+
+from imagination.errors import UserError
+from imagination.evaluation import map_files, single_views
+from imagination.evaluation.map_files import SavedMaps
+from imagination.evaluation.metrics import count
+from imagination.evaluation.outcome import Key
+from imagination.evaluation.report import PROVENANCE
+from imagination.evaluation.selection import THRESHOLDS
+from imagination.evaluation.single_views import SingleView
+from imagination.runs import CONFIG
+
+log = logging.getLogger(__name__)
+
+Row = dict[str, str]
+
+Runs = dict[tuple[str, int], Int64[np.ndarray, "3"]]
+"""Correct, false and truth pixels by home and viewpoint set."""
+
+Tally = Int64[np.ndarray, "t 3"]
+"""Correct, false and truth cells at thresholds .01, .02, … .99."""
+
+
+class Results:
+    """A run's folder, an evaluation's or a study's: whatever of it is there.
+
+    Each part is read at its first use; what is missing or damaged is told in `problems` and left out.
+
+    Args:
+        folder: of the run.
+
+    Raises:
+        UserError: if it is no folder of a run, or its config cannot be read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.problems: list[str] = []
+        self.config = read_config(folder / CONFIG)
+
+    @property
+    def name(self) -> str:
+        return str(self.config.get("name", self.folder.name))
+
+    @property
+    def scale(self) -> Mapping[str, Any]:
+        found: Mapping[str, Any] = self.config.get("scale") or {}
+        return found
+
+    @property
+    def source(self) -> str:
+        """Name of the scene source's class."""
+        scenes = (self.config.get("data") or {}).get("scenes") or {}
+        return str(scenes.get("_target_", "homes")).rpartition(".")[2]
+
+    @property
+    def resolution(self) -> float:
+        """Metres per cell."""
+        return float(self.scale.get("resolution", "nan"))
+
+    @property
+    def resamples(self) -> int:
+        """Bootstrap resamples of homes."""
+        return int((self.config.get("evaluation") or {}).get("resamples", 2000))
+
+    @property
+    def seed(self) -> int:
+        """Of the bootstrap."""
+        return int((self.config.get("evaluation") or {}).get("seed", 0))
+
+    @cached_property
+    def counts(self) -> dict[Key, Runs]:
+        """Counts of every run that is there; told in `problems` what is not."""
+        found = self._from_table()
+        if not found and self.maps:
+            self.problems.append("tables/runs.csv is missing: counted again from the maps saved so far")
+            found = recount(self.maps)
+        elif not found:
+            self.problems.append("tables/runs.csv is missing: the evaluation has not ended, or failed")
+        self.problems += missing_runs(found, self.config)
+        return found
+
+    @cached_property
+    def maps(self) -> list[SavedMaps]:
+        """The saved maps of all runs, by home, cell width (widest first) and viewpoint set."""
+        paths = sorted((self.folder / map_files.FOLDER).glob("*.npz"))
+        loaded = [maps for path in paths if (maps := self._tell(map_files.load, path)) is not None]
+        return sorted(loaded, key=lambda maps: (maps.run.home, -maps.run.cell_width, maps.run.number))
+
+    @cached_property
+    def singles(self) -> tuple[list[SingleView], float]:
+        """The single views to show and the metres per cell."""
+        path = self.folder / single_views.FILE
+        return (path.is_file() and self._tell(single_views.load, path)) or ([], self.resolution)
+
+    @cached_property
+    def view_tallies(self) -> dict[tuple[str, str, str], Tally]:
+        """Counts of single views at every threshold, by approach (or "network"), kind of cells and category."""
+        path = self.folder / "tables" / single_views.TABLE
+        return (path.is_file() and self._tell(read_tallies, path)) or {}
+
+    @cached_property
+    def provenance(self) -> dict[str, Any]:
+        """Command, seed, hardware, seconds and sensor of the evaluation, where they were written."""
+        path = self.folder / "tables" / PROVENANCE
+        return (path.is_file() and self._tell(_json, path)) or {}
+
+    def table(self, name: str) -> list[Row]:
+        """A table of the folder; without rows where it is not there."""
+        path = self.folder / "tables" / name
+        return (path.is_file() and self._tell(read_csv, path)) or []
+
+    @property
+    def approaches(self) -> list[str]:
+        return list(dict.fromkeys(key.approach for key in self.counts))
+
+    @property
+    def left_out(self) -> list[str]:
+        """Approaches of the config that were not evaluated, since no network for them was given."""
+        asked = (self.config.get("evaluation") or {}).get("approaches") or {}
+        return [name for name in asked if name not in self.approaches]
+
+    @property
+    def categories(self) -> list[str]:
+        return list(dict.fromkeys(key.category for key in self.counts))
+
+    @property
+    def cell_widths(self) -> list[float]:
+        """Widest first, as in the paper."""
+        return sorted({key.cell_width for key in self.counts}, reverse=True)
+
+    def _from_table(self) -> dict[Key, Runs]:
+        path = self.folder / "tables" / "runs.csv"
+        return (path.is_file() and self._tell(read_counts, path)) or {}
+
+    def _tell(self, read: Any, path: Path) -> Any:
+        """What `read` makes of a file; None, and the file named in `problems`, if it is damaged."""
+        try:
+            return read(path)
+        except (UserError, OSError, ValueError, KeyError, EOFError, UnicodeDecodeError, csv.Error) as error:
+            self.problems.append(f"{path.relative_to(self.folder)} is damaged and left out ({error})")
+            return None
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """A run's resolved config.
+
+    Raises:
+        UserError: if there is none, or it is damaged.
+    """
+    if not path.is_file():
+        raise UserError(
+            f"report: got {path.parent}, expected the folder of a run, an evaluation or a sweep, which holds "
+            f"{path.name} or numbered folders that do; such as outputs/chair_unet/latest"
+        )
+    try:
+        config = yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise UserError(f"config {path}: is damaged ({error})") from error
+    if not isinstance(config, dict):
+        raise UserError(f"config {path}: is damaged: got {type(config).__name__}, expected keys and values")
+    return config
+
+
+def read_csv(path: Path) -> list[Row]:
+    """Rows of a table.
+
+    Raises:
+        ValueError: if rows are shorter or longer than the header.
+    """
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file, strict=True))
+    for number, row in enumerate(rows, 2):
+        if None in row or None in row.values():
+            raise ValueError(f"line {number} does not fit the header")
+    return rows
+
+
+def read_counts(path: Path) -> dict[Key, Runs]:
+    """The counts in a runs.csv."""
+    counts: dict[Key, Runs] = {}
+    for row in read_csv(path):
+        key = Key(row["approach"], row["category"], float(row["cell_width"]))
+        pixels = [int(row[column]) for column in ("correct_pixels", "false_pixels", "truth_pixels")]
+        counts.setdefault(key, {})[row["home"], int(row["viewpoint_set"])] = np.array(pixels, np.int64)
+    return counts
+
+
+def read_tallies(path: Path) -> dict[tuple[str, str, str], Tally]:
+    """The counts in a thresholds.csv.
+
+    Raises:
+        ValueError: if a threshold is missing.
+    """
+    found: dict[tuple[str, str, str], list[list[int]]] = {}
+    for row in read_csv(path):
+        counts = [int(row[column]) for column in ("correct_cells", "false_cells", "truth_cells")]
+        found.setdefault((row["approach"], row["cells"], row["category"]), []).append(counts)
+    if any(len(rows) != len(THRESHOLDS) for rows in found.values()):
+        raise ValueError(f"expected {len(THRESHOLDS)} thresholds each")
+    return {key: np.array(rows, np.int64) for key, rows in found.items()}
+
+
+def recount(maps: Sequence[SavedMaps]) -> dict[Key, Runs]:
+    """The counts of every run from its saved maps."""
+    counts: dict[Key, Runs] = {}
+    for saved in maps:
+        predicted = saved.predicted
+        for place, approach in enumerate(saved.approaches):
+            for layer, category in enumerate(saved.categories):
+                if saved.present[layer]:
+                    key = Key(approach, category, saved.run.cell_width)
+                    pixels = count(predicted[place, layer], saved.truth[layer])
+                    counts.setdefault(key, {})[saved.run.home, saved.run.number] = pixels
+    return counts
+
+
+def by_home(runs: Runs) -> Int64[np.ndarray, "homes 1 3"]:
+    """Counts summed over the viewpoint sets of each home: what pooled figures and the bootstrap need."""
+    homes: dict[str, np.ndarray] = {}
+    for (home, _), pixels in runs.items():
+        homes[home] = homes.get(home, np.zeros(3, np.int64)) + pixels
+    return np.stack(list(homes.values()))[:, None]
+
+
+def missing_runs(counts: Mapping[Key, Runs], config: Mapping[str, Any]) -> list[str]:
+    """Which runs a config asks for that are not there, one line for each approach, category and cell width."""
+    if not counts:
+        return []  # said already
+    evaluation = config.get("evaluation") or {}
+    sets = range(int(evaluation.get("viewpoint_sets", 0)))
+    told = []
+    for category in config.get("unit_categories") or []:
+        of_category = [runs for key, runs in counts.items() if key.category == category]
+        homes = dict.fromkeys(home for runs in of_category for home, _ in runs)
+        if not homes:
+            told.append(f"{category}: no run of any approach")
+        measured = dict.fromkeys(key.approach for key in counts)
+        for width, approach in product(evaluation.get("cell_widths") or [], measured):
+            runs = counts.get(Key(approach, category, float(width)), {})
+            if lost := [(home, number) for home in homes for number in sets if (home, number) not in runs]:
+                names = ", ".join(f"{home} set {number}" for home, number in lost[:3])
+                told.append(
+                    f"{approach}, {category}, cell width {float(width):g} m: {len(lost)} of "
+                    f"{len(homes) * len(sets)} runs missing ({names}{', …' if len(lost) > 3 else ''})"
+                )
+    return told
+
+
+def _json(path: Path) -> dict[str, Any]:
+    found = json.loads(path.read_text())
+    if not isinstance(found, dict):
+        raise ValueError(f"got {type(found).__name__}, expected keys and values")
+    return found

@@ -1,0 +1,68 @@
+"""Map live: `python -m imagination.serve server=zenoh unit=chair.onnx`. What listens and speaks comes from a plugin."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from imagination import plugins, runs
+from imagination.config import command
+from imagination.deployment import configured
+from imagination.geometry.rgbd import RgbdCamera
+from imagination.mapping.semantic import SemanticMapper
+
+log = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class Server(Protocol):
+    """Receives a robot's images and poses, and publishes maps."""
+
+    def serve(self, make_mapper: Callable[[RgbdCamera], SemanticMapper]) -> SemanticMapper | None:
+        """Map until the process is interrupted; the mapper, if there was a frame. Logs what was left out.
+
+        Args:
+            make_mapper: makes the mapper once the camera is known.
+
+        Raises:
+            UserError: if what the server needs is not installed, or it cannot listen or connect.
+        """
+
+
+@command("serve", configured.validate)
+def serve(config: DictConfig) -> None:
+    """Serve until interrupted, then save the map."""
+    module = configured.module_of(config)
+    server: Server = instantiate(config.server, _convert_="all")
+    folder = runs.create_folder(Path(config.paths.outputs) / config.name, runs.now())
+    config.paths.run = str(folder)
+    with runs.logging_to(folder / "run.log"):
+        runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
+        mapper = server.serve(lambda camera: configured.mapper_of(config, module, camera))
+        if mapper is None:
+            log.warning("No frame could be mapped; nothing is saved")
+            return
+        mapper.save(folder, config.threshold)
+        runs.point_latest(folder)
+        log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
+
+
+def main() -> None:
+    """The command, if there is a plugin that serves."""
+    options = [option for plugin in plugins.discover() if not plugin.problem for option in plugin.options]
+    if not any(option.startswith("server/") for option in options):
+        sys.exit(
+            "error: serve: found no plugin that serves; put the folder plugins/ros of the repository into plugins/ of "
+            "this folder, and pip install 'imagination[ros]'"
+        )
+    serve()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""A short film of the mapping: colour, depth, projection, imagination and the growing map side by side."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from imagination.errors import UserError, check_choice, check_range
+from imagination.geometry.grid import Grid
+from imagination.geometry.pose import Pose
+from imagination.mapping.maps import Maps
+from imagination.mapping.pictures import FREE_COLOUR, OCCUPIED_COLOUR, UNKNOWN_COLOUR, draw_map, paint
+from imagination.mapping.semantic import SemanticMapper, Update
+
+Picture = UInt8[np.ndarray, "h w 3"]
+
+PANEL = 240
+"""Pixels a side of the four small panels; the map is twice as large."""
+
+FARTHEST = 6.0
+"""Metres of depth that the colours span."""
+
+PATH_COLOUR, ROBOT_COLOUR, TEXT_COLOUR = (40, 90, 220), (220, 30, 30), (20, 20, 20)
+
+
+class Preview:
+    """Writes preview.mp4 or preview.gif.
+
+    Args:
+        format: mp4 or gif.
+        rate: frames a second.
+        most: frames of the film; of more, every second is dropped and from then on every other shown, and so on.
+
+    Raises:
+        UserError: if a value is out of range.
+    """
+
+    def __init__(self, format: str = "mp4", rate: float = 10.0, most: int = 300) -> None:
+        self.format = check_choice("viewer.format", format, ("gif", "mp4"))
+        self.rate = check_range("viewer.rate", rate, 0.1, 60.0, "frames a second")
+        self.most = int(check_range("viewer.most", most, 2, 10_000, "frames"))
+        self._pictures: list[bytes] = []  # compressed, since memory must not grow with the recording
+        self._seen, self._every = 0, 1
+        self._path: list[Pose] = []
+
+    def open(self, folder: Path, mapper: SemanticMapper) -> None:
+        self._file, self._mapper = folder / f"preview.{self.format}", mapper
+
+    def show(self, stamp: int, update: Update) -> None:
+        if self._seen % self._every == 0:
+            self._path.append(update.pose)
+            colours = self._mapper.description.colours
+            picture = draw_update(update, self._mapper.maps, colours, self._path)
+            self._pictures.append(cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+            if len(self._pictures) > self.most:
+                self._pictures, self._path, self._every = (
+                    self._pictures[::2],
+                    self._path[::2],
+                    2 * self._every,
+                )
+        self._seen += 1
+
+    def close(self) -> None:
+        """Write the film.
+
+        Raises:
+            UserError: if it cannot be written.
+        """
+        if not self._pictures:
+            return
+        pictures = [np.array(Image.open(BytesIO(data))) for data in self._pictures]
+        if self.format == "gif":
+            first, *others = map(Image.fromarray, pictures)
+            first.save(
+                self._file, save_all=True, append_images=others, duration=round(1000 / self.rate), loop=0
+            )
+            return
+        height, width = pictures[0].shape[:2]
+        writer = cv2.VideoWriter(str(self._file), cv2.VideoWriter.fourcc(*"mp4v"), self.rate, (width, height))
+        if not writer.isOpened():
+            raise UserError(f"{self._file}: cannot be written as MP4 by this OpenCV; use viewer.format=gif")
+        for picture in pictures:
+            writer.write(picture[..., ::-1])
+        writer.release()
+
+
+def draw_update(
+    update: Update, maps: Maps, colours: Sequence[tuple[int, int, int]], path: Sequence[Pose]
+) -> Picture:
+    """What became of a frame: four small panels, and the map with the robot's path.
+
+    Args:
+        update: the frame.
+        maps: after it.
+        colours: of the categories.
+        path: the robot's poses so far.
+    """
+    depth = np.clip(update.depth / FARTHEST, 0, 1)
+    shaded = cv2.applyColorMap((255 * (1 - depth)).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1]
+    shaded = np.where(update.depth[..., None] > 0, shaded, np.uint8(0))
+    projection = np.full((*update.seen.shape, 3), UNKNOWN_COLOUR, np.float32)
+    projection[update.seen] = FREE_COLOUR
+    projection[update.occupied] = OCCUPIED_COLOUR
+    imagined = paint(projection, np.where(update.mask, update.probabilities, np.float32(0)), colours, 0.5)
+    panels = [
+        _panel(update.rgb, "colour"),
+        _panel(shaded, "depth"),
+        _panel(projection.astype(np.uint8), "seen and occupied"),
+        _panel(imagined, ", ".join(maps.categories)),
+    ]
+    left = np.vstack([np.hstack(panels[:2]), np.hstack(panels[2:])])
+    return np.hstack([left, _with_path(draw_map(maps, colours, 0.5), maps, path)])
+
+
+def _panel(image: Picture, title: str) -> UInt8[np.ndarray, "p q 3"]:
+    picture = cv2.resize(np.ascontiguousarray(image), (PANEL, PANEL), interpolation=cv2.INTER_NEAREST)
+    cv2.rectangle(picture, (0, 0), (PANEL, 16), (255, 255, 255), -1)
+    cv2.putText(picture, title, (4, 12), cv2.FONT_HERSHEY_SIMPLEX, 0.4, TEXT_COLOUR, 1, cv2.LINE_AA)
+    return picture
+
+
+def _with_path(picture: Picture, maps: Maps, path: Sequence[Pose]) -> UInt8[np.ndarray, "p q 3"]:
+    """The known part of the map, as large as it fits, with the robot and its path."""
+    known = np.argwhere(maps.known)
+    top, left = known.min(axis=0)
+    bottom, right = known.max(axis=0) + 1
+    side = 2 * PANEL
+    scale = side / max(bottom - top, right - left)
+    cut = np.ascontiguousarray(picture[top:bottom, left:right])
+    size = max(1, round((right - left) * scale)), max(1, round((bottom - top) * scale))
+    shown = cv2.resize(cut, size, interpolation=cv2.INTER_NEAREST)
+    canvas = np.full((side, side, 3), UNKNOWN_COLOUR, np.uint8)
+    y, x = (side - shown.shape[0]) // 2, (side - shown.shape[1]) // 2
+    canvas[y : y + shown.shape[0], x : x + shown.shape[1]] = shown
+
+    def pixel(point: tuple[float, float], grid: Grid) -> tuple[int, int]:
+        column = (point[0] - grid.origin[0]) / grid.resolution - left
+        row = grid.rows - (point[1] - grid.origin[1]) / grid.resolution - top
+        return round(x + column * scale), round(y + row * scale)
+
+    points = np.array([pixel((pose.x, pose.y), maps.grid) for pose in path], np.int32)
+    cv2.polylines(canvas, [points.reshape(-1, 1, 2)], False, PATH_COLOUR, 2, cv2.LINE_AA)
+    ahead = path[-1].to_world(np.array([0.4, 0.0])).tolist()
+    tip = pixel((ahead[0], ahead[1]), maps.grid)
+    cv2.arrowedLine(canvas, points[-1].tolist(), tip, ROBOT_COLOUR, 2, cv2.LINE_AA, tipLength=0.4)
+    return canvas

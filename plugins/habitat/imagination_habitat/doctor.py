@@ -1,0 +1,38 @@
+"""Whether habitat-sim is there and usable, found out in a process of its own: it may end the whole process."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+
+from imagination.doctor import Finding
+
+VERSION = "0.3"
+TRIAL = """
+import habitat_sim
+configuration = habitat_sim.SimulatorConfiguration()
+configuration.scene_id = "NONE"
+configuration.gpu_device_id = -1
+habitat_sim.Simulator(habitat_sim.Configuration(configuration, [habitat_sim.agent.AgentConfiguration()])).close()
+print("usable", habitat_sim.__version__)
+"""
+
+
+def examine() -> Iterator[Finding]:
+    """One finding: usable, or what is wrong."""
+    if find_spec("habitat_sim") is None:
+        yield Finding(
+            "habitat-sim",
+            None,
+            "not installed; only data/scenes=habitat needs it (conda install habitat-sim)",
+        )
+        return
+    done = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True, timeout=120)
+    words = done.stdout.split()
+    if done.returncode != 0 or "usable" not in words:
+        last = (done.stderr.strip().splitlines() or [f"it ended with code {done.returncode}"])[-1]
+        yield Finding("habitat-sim", False, f"installed, but a simulator cannot be made: {last}")
+    elif not words[-1].startswith(VERSION):
+        yield Finding("habitat-sim", False, f"version {words[-1]}, expected {VERSION}.x")
+    else:
+        yield Finding("habitat-sim", True, f"version {words[-1]}, makes a simulator in software")

@@ -1,0 +1,189 @@
+"""The scene source of Habitat: scenes of a scene data set, rendered by habitat-sim."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from imagination.categories import CategoryTable
+from imagination.errors import UserError, check_choice
+from imagination.geometry.camera import Camera
+from imagination.scenes.scene import SPLITS, FreeSpace, Lighting, Mesh, Scene, SceneObject, Split
+from imagination.views.poses import sample_poses
+from imagination_habitat.frames import free_grid, upright
+from imagination_habitat.simulator import SIMULATORS, HabitatRenderer, make_navmesh
+
+STOREY = 1.5
+"""Least height between two floors, metres."""
+CEILING = 2.6
+"""Above the floor; the simulator does not tell it."""
+SAMPLES = 400
+"""Navigable points drawn to find the floors."""
+LOOKS = 16
+"""Images looked at for semantics before a scene counts as without."""
+UNNAMED = ("", "unknown", "Unknown", "void", "unlabeled")
+
+
+class HabitatScenes:
+    """Scenes of one Habitat data set; the lowest floor with enough floor, or the one that is asked for.
+
+    Args:
+        dataset: a scene data set config (`.scene_dataset_config.json`); empty: scenes are files.
+        scenes: names of the scenes of each split, as the data set or the file system knows them.
+        names: for each category of the table, the data set's names that belong to it.
+        categories: the category table.
+        robot_radius: metres.
+        camera: that is used to look for semantics.
+        device: CUDA device; -1 renders in software, which is needed on machines without CUDA.
+        resolution: of the free space's grid, metres.
+
+    Raises:
+        UserError: if a file does not exist or a split is unknown.
+    """
+
+    name = "habitat"
+
+    def __init__(
+        self,
+        dataset: str,
+        scenes: Mapping[str, Sequence[str]],
+        names: Mapping[str, Sequence[str]],
+        categories: CategoryTable,
+        robot_radius: float,
+        camera: Camera,
+        device: int,
+        resolution: float,
+    ) -> None:
+        for split in scenes:
+            check_choice("data.scenes.scenes", split, SPLITS)
+        if dataset and not Path(dataset).is_file():
+            raise UserError(
+                f"habitat: there is no scene data set config {dataset}, expected a file *.scene_dataset_config.json"
+            )
+        self._dataset, self._device = dataset, device
+        self._scenes = {split: list(scenes.get(split, ())) for split in SPLITS}
+        self._robot_radius, self._camera, self._resolution = robot_radius, camera, resolution
+        self._category_of: dict[str, str] = {}
+        for category, labels in names.items():
+            categories.index(category)
+            self._category_of |= dict.fromkeys(labels, category)
+
+    def scenes(self, split: Split) -> list[str]:
+        """Names of a split's scenes."""
+        check_choice("split", split, SPLITS)
+        if not self._scenes[split]:
+            raise UserError(f"split {split}: has no scenes; list some in data.scenes.scenes.{split}")
+        return self._scenes[split]
+
+    def load(self, scene: str) -> Scene:
+        """Load a scene into the simulator.
+
+        Raises:
+            UserError: if there is no such scene, it has no navigable floor, or its semantics are empty.
+        """
+        check_choice("scene", scene, [name for names in self._scenes.values() for name in names])
+        simulator = SIMULATORS.show(self._dataset, scene, self._camera, self._device)
+        make_navmesh(simulator, self._robot_radius, scene)
+        floor = floor_height(simulator.pathfinder)
+        free = self._free_space(simulator.pathfinder, floor, scene)
+        objects, rows = self._objects(simulator, floor)
+        if not objects:
+            raise UserError(
+                f"habitat: scene {scene} names no object on the floor at {floor:.2f} m; its semantics are empty: "
+                "give the scene data set config that lists its semantic files"
+            )
+        renderer = HabitatRenderer(self._dataset, scene, self._device, rows)
+        found = Scene(scene, _nothing(), Lighting(), objects, free, floor, floor + CEILING, renderer)
+        self._check_semantics(found, renderer)
+        return found
+
+    def fingerprint(self, scene: str) -> str:
+        """Changes with the scene's name and files, the settings and this code; not with files that they refer to."""
+        files = [
+            (path, Path(path).stat().st_mtime_ns) for path in (self._dataset, scene) if Path(path).is_file()
+        ]
+        settings = self._robot_radius, self._resolution, sorted(self._category_of.items()), str(self._camera)
+        text = json.dumps([self.name, self._dataset, scene, files, repr(settings), code_version()])
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def _free_space(self, pathfinder: Any, floor: float, scene: str) -> FreeSpace:
+        view = np.asarray(pathfinder.get_topdown_view(self._resolution, floor), bool)
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(view.astype(np.uint8), connectivity=4)
+        if len(stats) == 1:
+            raise UserError(f"habitat: scene {scene} has no navigable floor at {floor:.2f} m")
+        largest = labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+        return FreeSpace(*free_grid(largest, pathfinder.get_bounds()[0], self._resolution))
+
+    def _objects(self, simulator: Any, floor: float) -> tuple[tuple[SceneObject, ...], dict[int, int]]:
+        """Named objects between floor and ceiling, and the instance of each semantic id."""
+        objects: list[SceneObject] = []
+        rows: dict[int, int] = {}
+        for thing in simulator.semantic_scene.objects:
+            if thing is None or thing.category is None or (name := thing.category.name()) in UNNAMED:
+                continue
+            # aabb wrongly reaches to the world's origin
+            box = upright(thing.obb.center, thing.obb.half_extents, _quaternion(thing.obb.rotation))
+            if not floor - 0.5 <= box.centre[2] <= floor + CEILING + 0.5 or int(thing.semantic_id) == 0:
+                continue
+            rows[int(thing.semantic_id)] = len(objects) + 1
+            category = self._category_of.get(name)
+            objects.append(SceneObject(len(objects) + 1, name, category, box, str(thing.id)))
+        return tuple(objects), rows
+
+    def _check_semantics(self, scene: Scene, renderer: HabitatRenderer) -> None:
+        """Refuse a scene whose semantic sensor sees nothing wherever one looks."""
+        rng = np.random.default_rng(0)
+        for pose in sample_poses(scene.free_space, LOOKS, rng):
+            image = renderer.render(self._camera, self._camera.to_world(pose, scene.floor_height))
+            if (image.instance > 0).any():
+                return
+        raise UserError(
+            f"habitat: the semantic sensor saw none of the {len(scene.objects)} objects of scene {scene.name} in "
+            f"{LOOKS} looks; its semantic mesh is missing or did not load"
+        )
+
+
+def floor_height(pathfinder: Any) -> float:
+    """The height on which most navigable points lie, metres, of floors a storey apart.
+
+    Raises:
+        UserError: if the navmesh is not loaded; asking it would end the process.
+    """
+    if not pathfinder.is_loaded:
+        raise UserError("habitat: the scene has no navmesh")
+    pathfinder.seed(0)
+    heights = np.sort([pathfinder.get_random_navigable_point()[1] for _ in range(SAMPLES)])
+    groups = np.split(heights, np.flatnonzero(np.diff(heights) > STOREY / 2) + 1)
+    return float(np.median(max(groups, key=len)))
+
+
+def _quaternion(rotation: Any) -> tuple[float, float, float, float]:
+    """x, y, z, w of Habitat's box rotation, which is an array in that order."""
+    x, y, z, w = (float(value) for value in np.asarray(rotation).ravel())
+    return x, y, z, w
+
+
+def _nothing() -> Mesh:
+    """No triangles: the simulator has them."""
+    return Mesh(
+        np.zeros((0, 3), np.float32),
+        np.zeros((0, 3), np.int32),
+        np.zeros(0, np.int32),
+        np.zeros(0, np.int32),
+        np.zeros((0, 3, 2), np.float32),
+        (),
+    )
+
+
+@lru_cache(maxsize=1)
+def code_version() -> str:
+    """Hash of this plugin's code."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,134 @@
+"""Messages to bytes and back (CDR), with rosbags' type store; and the messages that maps become."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from imagination.errors import UserError, check_choice
+from imagination.geometry.grid import Grid
+from imagination.mapping.maps import Layer, MapObject
+from imagination.recordings.trajectory import SECOND
+
+GRID, MARKERS = "nav_msgs/msg/OccupancyGrid", "visualization_msgs/msg/MarkerArray"
+
+LINE_STRIP, TEXT, ADD, DELETE_ALL = 4, 9, 0, 3
+"""Of visualization_msgs/Marker: types and actions."""
+
+
+class Codec:
+    """Encodes and decodes messages of one ROS 2 distribution.
+
+    Args:
+        distribution: as rosbags names it, e.g. ros2_humble.
+        max_bytes: of a message.
+
+    Raises:
+        UserError: if rosbags is not installed or knows no such distribution.
+    """
+
+    def __init__(self, distribution: str, max_bytes: int) -> None:
+        try:
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError as error:
+            raise UserError(
+                "rosbags: is not installed, but serving needs it: pip install 'imagination[ros]'"
+            ) from error
+        names = [store.value for store in Stores if store.value.startswith("ros2")]
+        self._store = get_typestore(Stores(check_choice("transport.distribution", distribution, names)))
+        self.max_bytes = max_bytes
+
+    def decode(self, data: bytes, kind: str) -> Any:
+        """A message from its bytes.
+
+        Raises:
+            UserError: if it is too large or its bytes are no such message.
+        """
+        if len(data) > self.max_bytes:
+            raise UserError(f"{kind}: got {len(data)} bytes, expected at most {self.max_bytes}")
+        try:
+            return self._store.deserialize_cdr(data, kind)
+        except Exception as error:  # bytes from anywhere make the decoder raise anything
+            raise UserError(f"{kind}: got {len(data)} bytes that are no such message ({error!r})") from error
+
+    def encode(self, message: Any, kind: str) -> bytes:
+        """Bytes of a message."""
+        return bytes(self._store.serialize_cdr(message, kind))
+
+    def occupancy_grid(self, layer: Layer, grid: Grid, frame: str, stamp: int) -> Any:
+        """A layer as nav_msgs/OccupancyGrid, whose first row is the lowest."""
+        x, y = grid.origin
+        info = self._make(
+            "nav_msgs/MapMetaData",
+            map_load_time=self._time(stamp),
+            resolution=grid.resolution,
+            width=grid.columns,
+            height=grid.rows,
+            origin=self._pose(x, y, 0.0),
+        )
+        data = np.ascontiguousarray(layer[::-1]).reshape(-1)
+        return self._make("nav_msgs/OccupancyGrid", header=self._header(stamp, frame), info=info, data=data)
+
+    def markers(
+        self, objects: Sequence[MapObject], colours: dict[str, tuple[int, int, int]], frame: str, stamp: int
+    ) -> Any:
+        """Objects as visualization_msgs/MarkerArray: the outline of each, and its category with the confidence."""
+        markers = [self._marker(stamp, frame, "", 0, DELETE_ALL, (0, 0, 0))]
+        for number, found in enumerate(objects):
+            colour = colours[found.category]
+            outline = self._marker(stamp, frame, found.category, number, ADD, colour)
+            corners = [*found.outline.tolist(), found.outline[0].tolist()]
+            outline.type, outline.scale.x = LINE_STRIP, 0.03
+            outline.points = [self._make("geometry_msgs/Point", x=x, y=y, z=0.0) for x, y in corners]
+            text = self._marker(stamp, frame, f"{found.category} text", number, ADD, colour)
+            text.type, text.scale.z = TEXT, 0.2
+            text.text = f"{found.category} {found.confidence:.2f}"
+            text.pose = self._pose(*found.centre, 0.3)
+            markers += [outline, text]
+        return self._make("visualization_msgs/MarkerArray", markers=markers)
+
+    def _marker(
+        self, stamp: int, frame: str, namespace: str, number: int, action: int, colour: tuple[int, int, int]
+    ) -> Any:
+        red, green, blue = (value / 255 for value in colour)
+        values: dict[str, Any] = {
+            "header": self._header(stamp, frame),
+            "ns": namespace,
+            "id": number,
+            "type": LINE_STRIP,
+            "action": action,
+            "pose": self._pose(0.0, 0.0, 0.0),
+            "scale": self._make("geometry_msgs/Vector3", x=0.0, y=0.0, z=0.0),
+            "color": self._make("std_msgs/ColorRGBA", r=red, g=green, b=blue, a=1.0),
+            "lifetime": self._make("builtin_interfaces/Duration", sec=0, nanosec=0),
+            "frame_locked": False,
+            "points": [],
+            "colors": [],
+            "text": "",
+            "mesh_resource": "",
+            "mesh_use_embedded_materials": False,
+        }
+        fields = self._store.types["visualization_msgs/msg/Marker"].__dataclass_fields__
+        if "texture_resource" in fields:  # since Humble
+            nothing = np.zeros(0, np.uint8)
+            image = self._make(
+                "sensor_msgs/CompressedImage", header=self._header(0, ""), format="", data=nothing
+            )
+            mesh = self._make("visualization_msgs/MeshFile", filename="", data=nothing)
+            values |= {"texture_resource": "", "texture": image, "uv_coordinates": [], "mesh_file": mesh}
+        return self._make("visualization_msgs/Marker", **values)
+
+    def _pose(self, x: float, y: float, z: float) -> Any:
+        position = self._make("geometry_msgs/Point", x=x, y=y, z=z)
+        turn = self._make("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+        return self._make("geometry_msgs/Pose", position=position, orientation=turn)
+
+    def _header(self, stamp: int, frame: str) -> Any:
+        return self._make("std_msgs/Header", stamp=self._time(stamp), frame_id=frame)
+
+    def _time(self, stamp: int) -> Any:
+        return self._make("builtin_interfaces/Time", sec=stamp // SECOND, nanosec=stamp % SECOND)
+
+    def _make(self, name: str, **values: Any) -> Any:
+        package, kind = name.split("/")
+        return self._store.types[f"{package}/msg/{kind}"](**values)

@@ -1,0 +1,358 @@
+"""The mapping node: messages in, maps out. It knows no transport: what brings and carries messages is given to it.
+
+Frames that come faster than they are mapped are dropped, the latest wins. Bad messages are refused one by one.
+"""
+
+import logging
+import signal
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from imagination.errors import UserError, check_range
+from imagination.geometry.camera import Camera
+from imagination.geometry.rgbd import Intrinsics, RgbdCamera
+from imagination.mapping.semantic import SemanticMapper
+from imagination.recordings.ros_messages import (
+    CAMERA_INFO,
+    COMPRESSED,
+    IMAGE,
+    ODOMETRY,
+    TRANSFORMS,
+    Pairing,
+    colour_of,
+    depth_of,
+    intrinsics_of,
+    stamp_of,
+    transform_of,
+)
+from imagination.recordings.trajectory import Transforms
+from imagination_ros.codec import GRID, MARKERS, Codec
+
+log = logging.getLogger(__name__)
+
+MakeMapper = Callable[[RgbdCamera], SemanticMapper]
+
+HISTORY = 30.0
+"""Seconds of transforms that are kept."""
+
+MOST_PENDING = 8
+"""Frames that wait for their pose."""
+
+
+class Transport(Protocol):
+    """Carries messages between the node and everybody else.
+
+    Attributes:
+        codec: of its messages.
+    """
+
+    codec: Codec
+
+    def open(self) -> None:
+        """Connect.
+
+        Raises:
+            UserError: if what it needs is not installed, or it cannot listen or connect.
+        """
+
+    def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
+        """Have `receive` called with each message; with those of the past too if `latched`.
+
+        What it is called with is a message with fields; it may be called from any thread and raises nothing. Messages
+        that cannot be decoded are handed on as the UserError that says why.
+        """
+
+    def publish(self, topic: str, kind: str, message: Any) -> None:
+        """Send a message; those who come later get the last one."""
+
+    def close(self) -> None:
+        """Disconnect."""
+
+
+class Pending(NamedTuple):
+    """A pair of images that waits for its pose.
+
+    Attributes:
+        stamp: of the colour image.
+        arrived: seconds of a steady clock.
+        colour, depth: messages.
+    """
+
+    stamp: int
+    arrived: float
+    colour: Any
+    depth: Any
+
+
+class MappingNode:
+    """Collects what belongs to a frame, maps the latest, tells of the map.
+
+    Args:
+        make_mapper: makes the mapper once the camera is known.
+        publish: sends a message: name in our namespace, type, message.
+        codec: makes messages.
+        world: frame of the map.
+        mount: frame of the robot, height (metres), pitch and roll (degrees) of the camera on it; from tf if None.
+        depth_scale: units a metre of 16-bit depth.
+        max_difference: seconds between a colour and a depth image.
+        max_gap: seconds between two transforms over which none is interpolated.
+        patience: seconds that an image waits for its pose.
+        period: seconds between two publications.
+        threshold: probability from which a cell belongs to an object.
+
+    Attributes:
+        counts: frames mapped, dropped and refused, by the reason.
+        mapper: None until the first frame.
+    """
+
+    def __init__(
+        self,
+        make_mapper: MakeMapper,
+        publish: Callable[[str, str, Any], None],
+        codec: Codec,
+        world: str,
+        mount: Mapping[str, Any] | None = None,
+        depth_scale: float = 1000.0,
+        max_difference: float = 0.02,
+        max_gap: float = 0.5,
+        patience: float = 1.0,
+        period: float = 1.0,
+        threshold: float = 0.5,
+    ) -> None:
+        self.make_mapper, self.publish, self.codec = make_mapper, publish, codec
+        self.world, self.mount, self.depth_scale = world, mount, depth_scale
+        self.patience, self.period, self.threshold = patience, period, threshold
+        self.counts: Counter[str] = Counter()
+        self.mapper: SemanticMapper | None = None
+        self._changed = threading.Condition()  # guards all below
+        self._pairing: Pairing[Any] = Pairing(max_difference)
+        self._transforms = Transforms(max_gap, HISTORY)
+        self._intrinsics: dict[str, tuple[Intrinsics, str]] = {}
+        self._pending: deque[Pending] = deque()
+        self._stopped = False
+        self._last, self._published = -1, -np.inf
+
+    def receive(self, role: str, message: Any) -> None:
+        """Take a message in; of any thread.
+
+        Args:
+            role: colour, depth, colour_info, depth_info, tf, tf_static or odometry.
+            message: with fields, or the UserError that kept it from being decoded.
+        """
+        with self._changed:
+            try:
+                if isinstance(message, UserError):
+                    raise message
+                self._take(role, message)
+            except (UserError, AttributeError, TypeError, ValueError) as error:  # fields may hold anything
+                self._refuse(role, error)
+            self._changed.notify()
+
+    def step(self, timeout: float) -> bool:
+        """Map the latest frame that has a pose, waiting for one; whether there was one."""
+        with self._changed:
+            frame = self._next() or (self._changed.wait(timeout) and self._next()) or None
+            if frame is None:
+                return False
+            pending, pose = frame
+            camera = self._camera() if self.mapper is None else None
+        try:
+            if camera is not None:
+                self.mapper = self.make_mapper(camera)
+            assert self.mapper is not None, "made with the first frame"
+            self.mapper.update(colour_of(pending.colour), depth_of(pending.depth, self.depth_scale), pose)
+        except UserError as error:
+            with self._changed:
+                self._refuse("frame", error)
+            return False
+        with self._changed:
+            self.counts["mapped"] += 1
+        if time.monotonic() - self._published >= self.period:
+            self.tell(pending.stamp)
+        return True
+
+    def tell(self, stamp: int) -> None:
+        """Publish the map as it is."""
+        assert self.mapper is not None, "there is a map"
+        self._published = time.monotonic()
+        maps = self.mapper.maps
+        layers = {"occupancy": maps.occupancy_layer()}
+        layers |= {category: maps.category_layer(category) for category in maps.categories}
+        for name, layer in layers.items():
+            self.publish(name, GRID, self.codec.occupancy_grid(layer, maps.grid, maps.frame, stamp))
+        colours = dict(zip(maps.categories, self.mapper.description.colours, strict=True))
+        objects = maps.objects(self.threshold)
+        self.publish("objects", MARKERS, self.codec.markers(objects, colours, maps.frame, stamp))
+
+    def summary(self) -> str:
+        """What was mapped, dropped and refused."""
+        with self._changed:
+            lines = [f"{self.counts['mapped']} frames mapped"]
+            lines += [
+                f"    {count} x {what}" for what, count in self.counts.most_common() if what != "mapped"
+            ]
+        return "\n".join(lines)
+
+    def _take(self, role: str, message: Any) -> None:
+        if role in ("tf", "tf_static"):
+            for entry in message.transforms:
+                matrix = transform_of(entry.transform)
+                names = entry.header.frame_id, entry.child_frame_id
+                self._transforms.add(*names, stamp_of(entry), matrix, fixed=role == "tf_static")
+        elif role == "odometry":
+            matrix = transform_of(message.pose.pose)
+            names = message.header.frame_id, message.child_frame_id
+            self._transforms.add(*names, stamp_of(message), matrix, fixed=False)
+        elif role.endswith("_info"):
+            self._intrinsics[role.removesuffix("_info")] = intrinsics_of(message), message.header.frame_id
+        else:
+            pair = self._pairing.add(role, stamp_of(message), message)
+            if pair is not None:
+                stamp, colour, depth = pair
+                self._pending.append(Pending(stamp, time.monotonic(), colour, depth))
+                if len(self._pending) > MOST_PENDING:
+                    self._pending.popleft()
+                    self.counts["dropped: a later frame came"] += 1
+
+    def _next(self) -> tuple[Pending, np.ndarray] | None:
+        """The latest frame that has a pose; those before it are dropped, those after it wait for theirs."""
+        while self._pending and time.monotonic() - self._pending[0].arrived > self.patience:
+            if self._pose(self._pending[0].stamp) is not None:
+                break
+            self._pending.popleft()
+            self.counts["no pose at its time"] += 1
+        for index in range(len(self._pending) - 1, -1, -1):
+            pending = self._pending[index]
+            pose = self._pose(pending.stamp)
+            if pose is None:
+                continue
+            for _ in range(index + 1):
+                self._pending.popleft()
+            if index:
+                self.counts["dropped: a later frame came"] += index
+            if pending.stamp <= self._last:
+                self.counts["time stamp repeated or out of order"] += 1
+                return None
+            self._last = pending.stamp
+            return pending, pose
+        return None
+
+    def _pose(self, stamp: int) -> np.ndarray | None:
+        """Of the colour camera; None as long as something is missing."""
+        if not {"colour", "depth"} <= self._intrinsics.keys():
+            return None
+        frame = self._intrinsics["colour"][1]
+        if self.mount is not None and frame.lstrip("/") == self._transforms.ancestors(frame)[-1]:
+            tilt = np.deg2rad([float(self.mount.get(name, 0.0)) for name in ("pitch", "roll")]).tolist()
+            matrix = Camera(8, 8, 1.0, float(self.mount["height"]), *tilt).to_robot()
+            self._transforms.add(str(self.mount["frame"]), frame, 0, matrix, fixed=True)
+        if self.world.lstrip("/") not in self._transforms.ancestors(frame):
+            return None
+        return self._transforms.at(self.world, frame, stamp)
+
+    def _camera(self) -> RgbdCamera:
+        (colour, frame), (depth, depth_frame) = self._intrinsics["colour"], self._intrinsics["depth"]
+        between = self._transforms.between(depth_frame, frame) if depth_frame != frame else np.eye(4)
+        return RgbdCamera(colour, depth if depth != colour else None, between)
+
+    def _refuse(self, role: str, error: Exception) -> None:
+        what = f"refused: {role}"
+        self.counts[what] += 1
+        if self.counts[what] == 1:
+            log.warning("%s: %s (told once, counted from now on)", role, error)
+
+
+class RosServer:
+    """Serves a robot through a transport; see `MappingNode` for what is not here.
+
+    Args:
+        transport: carries the messages.
+        topics: names of colour, depth, colour_info, depth_info, and odometry (None: /tf).
+        compressed: whether colour and depth are CompressedImage.
+        publish: namespace of what is published.
+
+    Raises:
+        UserError: on a value out of range.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        topics: Mapping[str, str | None],
+        compressed: bool,
+        publish: str,
+        period: float,
+        world: str,
+        mount: Mapping[str, Any] | None,
+        depth_scale: float,
+        max_difference: float,
+        max_gap: float,
+        patience: float,
+        threshold: float,
+    ) -> None:
+        check_range("server.period", period, 0.01, 3600.0, "s")
+        check_range("server.patience", patience, 0.0, 60.0, "s")
+        check_range("server.max_difference", max_difference, 0.0, 10.0, "s")
+        check_range("server.max_gap", max_gap, 0.0, 60.0, "s")
+        check_range("server.depth_scale", depth_scale, 1.0, 1e6, "units a metre")
+        self.transport, self.topics, self.compressed, self.namespace = (
+            transport,
+            dict(topics),
+            compressed,
+            publish,
+        )
+        self.settings: dict[str, Any] = {
+            "world": world,
+            "mount": mount,
+            "depth_scale": depth_scale,
+            "max_difference": max_difference,
+            "max_gap": max_gap,
+            "patience": patience,
+            "period": period,
+            "threshold": threshold,
+        }
+
+    def serve(self, make_mapper: MakeMapper) -> SemanticMapper | None:
+        """See `imagination.serve.Server`; ends on Ctrl-C and on SIGTERM."""
+        stop = threading.Event()
+        before = {
+            number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)
+        }
+        self.transport.open()
+        node = MappingNode(make_mapper, self._publish, self.transport.codec, **self.settings)
+        try:
+            for role, topic, kind in self._subscriptions():
+
+                def receive(message: Any, role: str = role) -> None:
+                    node.receive(role, message)
+
+                self.transport.subscribe(topic, kind, role == "tf_static", receive)
+            log.info("Listening; Ctrl-C ends and saves the map")
+            while not stop.is_set():
+                node.step(timeout=0.1)
+        finally:
+            self.transport.close()
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            log.info("%s", node.summary())
+        return node.mapper if node.counts["mapped"] else None
+
+    def _subscriptions(self) -> list[tuple[str, str, str]]:
+        """Role, topic and type of each."""
+        image = COMPRESSED if self.compressed else IMAGE
+        kinds = {"colour": image, "depth": image, "colour_info": CAMERA_INFO, "depth_info": CAMERA_INFO}
+        found = [(role, str(self.topics[role]), kind) for role, kind in kinds.items()]
+        found.append(("tf_static", "/tf_static", TRANSFORMS))
+        if self.topics.get("odometry"):
+            found.append(("odometry", str(self.topics["odometry"]), ODOMETRY))
+        else:
+            found.append(("tf", "/tf", TRANSFORMS))
+        return found
+
+    def _publish(self, name: str, kind: str, message: Any) -> None:
+        self.transport.publish(f"/{self.namespace.strip('/')}/{name}", kind, message)

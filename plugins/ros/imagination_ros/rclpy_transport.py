@@ -1,0 +1,77 @@
+"""A ROS 2 node through rclpy, where ROS 2 is installed and sourced."""
+
+import importlib
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from imagination.errors import UserError
+from imagination_ros.codec import Codec
+
+
+class RclpyTransport:
+    """An rclpy node; see `imagination_ros.node.Transport`.
+
+    Messages that come are rclpy's own, whose fields have the names that the node reads. What goes out is encoded by
+    the codec and decoded again by rclpy.
+
+    Args:
+        distribution: ROS 2 distribution that is installed.
+        max_bytes: of a message.
+
+    Raises:
+        UserError: if rclpy or rosbags is not installed.
+    """
+
+    def __init__(self, distribution: str, max_bytes: int) -> None:
+        try:
+            self._rclpy: Any = importlib.import_module("rclpy")
+        except ImportError as error:
+            raise UserError(
+                "rclpy: is not there; install ROS 2 and source its setup.bash, or use server=zenoh"
+            ) from error
+        self.codec = Codec(distribution, max_bytes)
+        self._publishers: dict[str, Any] = {}
+
+    def open(self) -> None:
+        # Ctrl-C is the server's: the map is saved first
+        options = importlib.import_module("rclpy.signals").SignalHandlerOptions
+        self._rclpy.init(signal_handler_options=options.NO)
+        self._node = self._rclpy.create_node("imagination")
+        self._spinning = threading.Thread(target=self._rclpy.spin, args=(self._node,), daemon=True)
+        self._spinning.start()
+
+    def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
+        def handle(message: Any) -> None:
+            size = len(getattr(message, "data", ()))
+            if size > self.codec.max_bytes:
+                message = UserError(f"{kind}: got {size} bytes, expected at most {self.codec.max_bytes}")
+            receive(message)
+
+        self._node.create_subscription(_type(kind), topic, handle, self._quality(latched, reliable=latched))
+
+    def publish(self, topic: str, kind: str, message: Any) -> None:
+        if topic not in self._publishers:
+            quality = self._quality(latched=True, reliable=True)
+            self._publishers[topic] = self._node.create_publisher(_type(kind), topic, quality)
+        decode = importlib.import_module("rclpy.serialization").deserialize_message
+        self._publishers[topic].publish(decode(self.codec.encode(message, kind), _type(kind)))
+
+    def close(self) -> None:
+        self._rclpy.shutdown()
+        self._spinning.join(timeout=5)
+
+    def _quality(self, latched: bool, reliable: bool) -> Any:
+        """Quality of service: the last message for those who come later, or only what is current."""
+        qos = importlib.import_module("rclpy.qos")
+        return qos.QoSProfile(
+            depth=100 if latched else 5,
+            durability=qos.DurabilityPolicy.TRANSIENT_LOCAL if latched else qos.DurabilityPolicy.VOLATILE,
+            reliability=qos.ReliabilityPolicy.RELIABLE if reliable else qos.ReliabilityPolicy.BEST_EFFORT,
+        )
+
+
+def _type(kind: str) -> Any:
+    """The class of a message type, e.g. nav_msgs/msg/OccupancyGrid."""
+    package, _, name = kind.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)

@@ -1,0 +1,90 @@
+"""ROS 2 messages over Zenoh: a topic's name without its first slash is the key, the payload is CDR.
+
+So zenoh-bridge-ros2dds carries them (eclipse-zenoh/zenoh-plugin-ros2dds); latched topics come with Zenoh's history.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from imagination.errors import UserError
+from imagination_ros.codec import Codec
+
+
+class ZenohTransport:
+    """A Zenoh session; see `imagination_ros.node.Transport`.
+
+    Args:
+        distribution: ROS 2 distribution whose messages are spoken.
+        listen, connect: Zenoh endpoints, e.g. tcp/127.0.0.1:7447. Nothing else is looked for.
+        max_bytes: of a message.
+
+    Raises:
+        UserError: if eclipse-zenoh or rosbags is not installed.
+    """
+
+    def __init__(
+        self, distribution: str, listen: Sequence[str], connect: Sequence[str], max_bytes: int
+    ) -> None:
+        try:
+            import zenoh
+            import zenoh.ext
+        except ImportError as error:
+            raise UserError(
+                "eclipse-zenoh: is not installed, but server=zenoh needs it: pip install 'imagination[ros]'"
+            ) from error
+        self._zenoh: Any = zenoh
+        self.codec = Codec(distribution, max_bytes)
+        self.listen, self.connect = list(listen), list(connect)
+        self._publishers: dict[str, Any] = {}
+        self._subscribers: list[Any] = []
+
+    def open(self) -> None:
+        config = self._zenoh.Config()
+        for key, value in (
+            ("mode", "peer"),
+            ("listen/endpoints", self.listen),
+            ("connect/endpoints", self.connect),
+            ("connect/timeout_ms", -1),  # go on trying: the robot may start later
+            ("connect/exit_on_failure", False),
+            ("scouting/multicast/enabled", False),
+            ("scouting/gossip/enabled", False),
+            ("timestamping/enabled", True),  # history needs it
+        ):
+            config.insert_json5(key, json.dumps(value))
+        try:
+            self._session = self._zenoh.open(config)
+        except self._zenoh.ZError as error:
+            raise UserError(
+                f"zenoh: cannot listen on {self.listen} and connect to {self.connect} ({error}); "
+                "choose others (server.transport.listen, server.transport.connect)"
+            ) from error
+
+    def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
+        def handle(sample: Any) -> None:
+            try:
+                message = self.codec.decode(sample.payload.to_bytes(), kind)
+            except UserError as error:
+                message = error
+            receive(message)
+
+        key = topic.strip("/")
+        if latched:
+            history = self._zenoh.ext.HistoryConfig(detect_late_publishers=True)
+            subscriber = self._zenoh.ext.declare_advanced_subscriber(
+                self._session, key, handle, history=history
+            )
+        else:
+            subscriber = self._session.declare_subscriber(key, handle)
+        self._subscribers.append(subscriber)
+
+    def publish(self, topic: str, kind: str, message: Any) -> None:
+        if topic not in self._publishers:
+            cache = self._zenoh.ext.CacheConfig(max_samples=1)
+            self._publishers[topic] = self._zenoh.ext.declare_advanced_publisher(
+                self._session, topic.strip("/"), cache=cache, publisher_detection=True
+            )
+        self._publishers[topic].put(self.codec.encode(message, kind))
+
+    def close(self) -> None:
+        self._session.close()

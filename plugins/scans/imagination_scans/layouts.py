@@ -1,0 +1,167 @@
+"""What every data set's layout offers, and what is the same in several."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from imagination.errors import UserError
+from imagination.scenes.scene import SPLITS, Split
+from imagination_scans.building import Building
+
+MAX_FACES = 50_000_000
+
+
+class Layout(Protocol):
+    """How a data set lies on disk. Plain values only inside, so that worker processes receive a copy of it."""
+
+    name: str
+
+    def buildings(self, folder: Path) -> dict[str, Path]:
+        """Each building's folder or main file, by its name.
+
+        Raises:
+            UserError: if there are none, with what a right folder looks like.
+        """
+
+    def splits(self, folder: Path, names: Sequence[str]) -> Mapping[str, Split]:
+        """The official split of each building; those without one are left out."""
+
+    def files(self, building: Path) -> list[Path]:
+        """What a building is read from, for fingerprints."""
+
+    def read(self, building: Path) -> Building:
+        """Read one.
+
+        Raises:
+            UserError: if a file is missing or malformed, with its name, the line and what was expected.
+        """
+
+
+def split_lists(folder: Path, pattern: str) -> dict[str, Split]:
+    """Names in text files, one a line, such as scenes_train.txt; empty if there is none."""
+    found: dict[str, Split] = {}
+    for split in SPLITS:
+        path = folder / pattern.format(split=split)
+        if path.is_file():
+            for line in path.read_text().splitlines():
+                if line.strip():
+                    found[line.strip()] = split
+    return found
+
+
+def first_of(folder: Path, *names: str) -> Path:
+    """The first of several files that exists.
+
+    Raises:
+        UserError: if none does.
+    """
+    for name in names:
+        if (folder / name).is_file():
+            return folder / name
+    raise UserError(f"{folder}: has none of {', '.join(names)}, expected one of them")
+
+
+def read_ply(path: Path) -> Any:
+    """A PLY file, memory-mapped where its faces all are triangles, or quadrilaterals, else read.
+
+    Raises:
+        UserError: if the extra is not installed or the file is malformed.
+    """
+    try:
+        from plyfile import PlyData, PlyElementParseError, PlyHeaderParseError
+    except ImportError as error:
+        raise UserError("scanned buildings need plyfile: pip install 'imagination[scans]'") from error
+    try:
+        for corners in (3, 4):
+            known = {"face": {"vertex_indices": corners, "vertex_index": corners}}
+            try:
+                return PlyData.read(path, mmap="c", known_list_len=known)
+            except PlyElementParseError:
+                continue
+        return PlyData.read(path)
+    except PlyHeaderParseError as error:
+        raise UserError(f"{path}: its header is broken: {error}, expected PLY") from error
+    except (PlyElementParseError, ValueError, OSError) as error:
+        raise UserError(f"{path}: cannot be read as PLY: {error}") from error
+
+
+def ply_columns(ply: Any, path: Path, element: str, *choices: Sequence[str]) -> list[np.ndarray]:
+    """Columns of an element, each by the first of its possible names that is there.
+
+    Raises:
+        UserError: if one is missing.
+    """
+    if element not in ply:
+        raise UserError(f"{path}: has no element {element!r}")
+    data = ply[element].data
+    columns = []
+    for names in choices:
+        name = next((name for name in names if name in data.dtype.names), None)
+        if name is None:
+            raise UserError(
+                f"{path}: its {element} has no {' or '.join(names)} (it has {', '.join(data.dtype.names)})"
+            )
+        columns.append(data[name])
+    return columns
+
+
+def ply_mesh(ply: Any, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (n, 3), polygons' triangles (m, 3), which polygon each triangle is of (m,), colour of vertices (n, 3).
+
+    Raises:
+        UserError: if columns are missing or faces refer to vertices that do not exist.
+    """
+    x, y, z = ply_columns(ply, path, "vertex", ["x"], ["y"], ["z"])
+    vertices = np.stack([x, y, z], axis=-1).astype(np.float32)
+    (corners,) = ply_columns(ply, path, "face", ["vertex_indices", "vertex_index"])
+    if corners.dtype == object:
+        sizes = np.array([len(polygon) for polygon in corners])
+        if len(sizes) and sizes.min() < 3:
+            raise UserError(
+                f"{path}: face {int(sizes.argmin())} has {sizes.min()} corners, expected 3 or more"
+            )
+        fans = [[(p[0], p[k], p[k + 1]) for k in range(1, len(p) - 1)] for p in corners]
+        faces = np.array([fan for polygon in fans for fan in polygon], np.int32).reshape(-1, 3)
+        owner = np.repeat(np.arange(len(corners)), np.maximum(sizes - 2, 0) if len(sizes) else 0)
+    else:
+        count = corners.shape[1]
+        owner = np.repeat(np.arange(len(corners)), count - 2)
+        fans_ = [corners[:, [0, k, k + 1]] for k in range(1, count - 1)]
+        faces = np.stack(fans_, axis=1).reshape(-1, 3).astype(np.int32)
+    if len(faces) == 0:
+        raise UserError(f"{path}: its mesh has no faces")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise UserError(
+            f"{path}: faces refer to vertices {faces.min()} to {faces.max()}, expected 0 to {len(vertices) - 1}"
+        )
+    if not np.isfinite(vertices).all():
+        raise UserError(f"{path}: has vertices that are not finite")
+    names = ply["vertex"].data.dtype.names
+    if {"red", "green", "blue"} <= set(names):
+        rgb = np.stack([ply["vertex"].data[c] for c in ("red", "green", "blue")], axis=-1).astype(np.uint8)
+    else:
+        rgb = np.full((len(vertices), 3), 180, np.uint8)
+    return vertices, faces, owner, rgb
+
+
+def face_colours(rgb: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Mean colour of each face's corners."""
+    total = sum(rgb[faces[:, k]].astype(np.uint16) for k in range(3))
+    return np.asarray(total // 3, np.uint8)
+
+
+def read_json(path: Path) -> Any:
+    """A JSON file.
+
+    Raises:
+        UserError: if it is missing or malformed, with the line.
+    """
+    try:
+        return json.loads(path.read_text())
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: there is no such file") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: is no JSON: {error}") from error

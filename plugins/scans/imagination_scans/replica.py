@@ -1,0 +1,100 @@
+"""Replica in its export for Habitat: `habitat/mesh_semantic.ply` with object ids in its faces, `info_semantic.json`."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from imagination.errors import UserError
+from imagination.scenes.scene import Split
+from imagination_scans.building import Building, ScannedObject, check_building, coloured
+from imagination_scans.layouts import (
+    face_colours,
+    first_of,
+    ply_columns,
+    ply_mesh,
+    read_json,
+    read_ply,
+    split_lists,
+)
+
+INFO = "info_semantic.json"
+
+
+class Replica:
+    """`<scene>/habitat/info_semantic.json` and `mesh_semantic.ply`."""
+
+    name = "replica"
+
+    def buildings(self, folder: Path) -> dict[str, Path]:
+        found = {path.parent.parent.name: path for path in sorted(folder.rglob(f"habitat/{INFO}"))}
+        if not found:
+            raise UserError(
+                f"replica: found no habitat/{INFO} in {folder.resolve()}; expected <scene>/habitat/{INFO} and "
+                "mesh_semantic.ply, as the release has them"
+            )
+        return found
+
+    def splits(self, folder: Path, names: Sequence[str]) -> Mapping[str, Split]:
+        """Lists replica_train.txt, … of the folder. The data set has no official ones: else every fourth is for test,
+        every fourth for validation, in alphabetical order."""
+        given = split_lists(folder, "replica_{split}.txt")
+        turns: tuple[Split, ...] = ("train", "test", "train", "val")
+        return given or {name: turns[number % 4] for number, name in enumerate(sorted(names))}
+
+    def files(self, building: Path) -> list[Path]:
+        return [building, first_of(building.parent, "mesh_semantic.ply")]
+
+    def read(self, building: Path) -> Building:
+        objects, path = read_objects(building), self.files(building)[1]
+        ply = read_ply(path)
+        vertices, faces, owner, rgb = ply_mesh(ply, path)
+        (instance,) = ply_columns(ply, path, "face", ["object_id", "objectid"])
+        materials, face_material, face_uv = coloured(face_colours(rgb, faces))
+        face_object = np.asarray(instance, np.int64)[owner] + 1
+        known = np.isin(face_object, [thing.id for thing in objects])
+        face_object = np.where(known, face_object, 0).astype(np.int32)
+        result = Building(vertices, faces, face_object, face_material, face_uv, materials, objects)
+        check_building(result, str(building))
+        return result
+
+
+def read_objects(path: Path) -> tuple[ScannedObject, ...]:
+    """Objects of an info_semantic.json.
+
+    Raises:
+        UserError: with the object that is malformed.
+    """
+    info = read_json(path)
+    if not isinstance(info, dict) or not isinstance(info.get("objects"), list):
+        raise UserError(f"{path}: has no list 'objects', expected Replica's {INFO}")
+    objects = []
+    for number, entry in enumerate(info["objects"]):
+        try:
+            corners = _corners(entry["oriented_bbox"]) if "oriented_bbox" in entry else None
+            objects.append(ScannedObject(int(entry["id"]) + 1, str(entry["class_name"]), corners))
+        except (KeyError, TypeError, ValueError) as error:
+            raise UserError(
+                f"{path}: objects[{number}] is broken ({error!r}), expected id, class_name and oriented_bbox"
+            ) from error
+    return tuple(objects)
+
+
+def _corners(box: Mapping[str, Mapping[str, Sequence[float]]]) -> np.ndarray:
+    """Corners (8, 3) of a box that lies in a frame of its own, turned by a quaternion x, y, z, w and moved."""
+    x, y, z, w = np.array(box["orientation"]["rotation"], float) / np.linalg.norm(
+        box["orientation"]["rotation"]
+    )
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    centre, half = np.array(box["abb"]["center"], float), np.array(box["abb"]["sizes"], float) / 2
+    signs = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
+    corners = (centre + signs * half) @ turn.T + np.array(box["orientation"]["translation"], float)
+    if corners.shape != (8, 3) or not np.isfinite(corners).all():
+        raise ValueError("a box that is not finite")
+    return np.asarray(corners)

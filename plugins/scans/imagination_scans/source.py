@@ -1,0 +1,181 @@
+"""The scene source of scanned buildings: each floor of each building is a scene."""
+
+import hashlib
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from imagination.cache import Cache
+from imagination.categories import CategoryTable
+from imagination.errors import UserError, check_choice
+from imagination.scenes.free_space import free_space
+from imagination.scenes.scene import SPLITS, Credit, Lighting, Scene, SceneObject, Split
+from imagination_scans.building import Building, Floor, ScannedObject, cut, floors_of, mesh_of, upright_box
+from imagination_scans.layouts import Layout
+
+log = logging.getLogger(__name__)
+
+BRIGHT = Lighting((1.0, 1.0, 1.0))
+"""Scans carry the light of the day they were taken."""
+
+
+class ScannedBuildings:
+    """Floors of the buildings of one data set.
+
+    Args:
+        layout: how the data set lies on disk.
+        folder: that the user downloaded.
+        names: for each category of the table, the data set's names that belong to it.
+        categories: the category table.
+        robot_radius: metres.
+        clearance: heights above the floor between which the robot touches things, metres; scanned floors are uneven.
+        largest: side of the global map, metres; larger floors are left out with a message.
+        cache: keeps what was found out about buildings.
+        licence: under which the data set is used.
+
+    Raises:
+        UserError: if the folder does not exist or holds another kind of data.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        folder: str,
+        names: Mapping[str, Sequence[str]],
+        categories: CategoryTable,
+        robot_radius: float,
+        clearance: Sequence[float],
+        largest: float,
+        cache: Cache,
+        licence: str,
+    ) -> None:
+        self.name = layout.name
+        self._layout, self._folder, self._cache = layout, Path(folder), cache
+        self._robot_radius, self._clearance, self._largest = robot_radius, tuple(clearance), largest
+        self._licence = licence
+        self._category_of: dict[str, str] = {}
+        for category, labels in names.items():
+            categories.index(category)
+            self._category_of |= dict.fromkeys(labels, category)
+        if not self._folder.is_dir():
+            raise UserError(
+                f"{self.name}: there is no folder {self._folder.resolve()}; set data.scenes.folder"
+            )
+        self._buildings = layout.buildings(self._folder)
+        self._split_of = layout.splits(self._folder, list(self._buildings))
+
+    def scenes(self, split: Split) -> list[str]:
+        """Floors of a split's buildings that fit into the map; looks into each building once, then into the cache."""
+        check_choice("split", split, SPLITS)
+        chosen = [name for name in self._buildings if self._split_of.get(name) == split]
+        names = [f"{name}_{floor}" for name in chosen for floor in self._usable(name)]
+        if not names:
+            without = sum(name not in self._split_of for name in self._buildings)
+            raise UserError(
+                f"split {split}: none of the {len(self._buildings)} buildings in {self._folder} gives a scene "
+                f"({len(chosen)} belong to it, {without} to no split); add lists of names for its splits, or more data"
+            )
+        return names
+
+    def load(self, scene: str) -> Scene:
+        """One floor.
+
+        Raises:
+            UserError: if there is no such floor, its files are malformed or nothing on it is free.
+        """
+        name, number = self._parse(scene)
+        whole = _building(self._layout, self._buildings[name])
+        floor = self._floors(name)[number]
+        part, things = cut(whole, floor)
+        if not things:
+            raise UserError(
+                f"scene {scene}: no object of the annotation lies on this floor; its semantics are empty"
+            )
+        mesh = mesh_of(part)
+        objects = tuple(self._object(number, thing, part) for number, thing in enumerate(things, start=1))
+        low, high = self._clearance
+        free = free_space(mesh, floor.height, self._robot_radius, clearance=(low, high))
+        return Scene(scene, mesh, BRIGHT, objects, free, floor.height, floor.ceiling)
+
+    def fingerprint(self, scene: str) -> str:
+        """Changes with the building's files (their size and time), the robot, the names and this code."""
+        name, number = self._parse(scene)
+        settings = self._robot_radius, self._clearance, sorted(self._category_of.items())
+        text = repr((self._key(name), number, settings))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def credits(self) -> Sequence[Credit]:
+        """The data set, for each building."""
+        return [
+            Credit(split, "building", name, self.name, self._licence, str(self._folder))
+            for name, split in sorted(self._split_of.items())
+            if name in self._buildings
+        ]
+
+    def _parse(self, scene: str) -> tuple[str, int]:
+        name, _, number = scene.rpartition("_")
+        if name in self._buildings and number.isdecimal() and int(number) < len(self._floors(name)):
+            return name, int(number)
+        raise UserError(
+            f"scene: got {scene!r}, expected a building's name and the number of its floor, such as "
+            f"{next(iter(self._buildings))}_0; buildings: {', '.join(list(self._buildings)[:20])}"
+        )
+
+    def _object(self, instance: int, thing: ScannedObject, part: Building) -> SceneObject:
+        corners = part.vertices[np.unique(part.faces[part.face_object == thing.id])]
+        box = upright_box(corners, thing.corners)
+        return SceneObject(
+            instance, thing.name, self._category_of.get(thing.name), box, f"{self.name}/{thing.id}"
+        )
+
+    def _usable(self, name: str) -> list[int]:
+        """Numbers of the floors that fit into the map; the others are told."""
+        usable = []
+        for number, floor in enumerate(self._floors(name)):
+            x0, y0, x1, y1 = floor.reach
+            if max(x1 - x0, y1 - y0) > self._largest:
+                log.warning(
+                    f"{self.name}: {name}_{number} is left out: it measures {x1 - x0:.1f} x {y1 - y0:.1f} m, more than "
+                    f"the global map ({self._largest} m)"
+                )
+            else:
+                usable.append(number)
+        return usable
+
+    def _floors(self, name: str) -> list[Floor]:
+        """Floors of a building, from the cache."""
+
+        def find() -> dict[str, np.ndarray]:
+            building = _building(self._layout, self._buildings[name])
+            try:
+                floors = floors_of(building)
+            except UserError as error:
+                raise UserError(f"{self._buildings[name]}: {error}") from error
+            return {"floors": np.array([(f.height, f.ceiling, *f.reach) for f in floors])}
+
+        rows = self._cache.get_or_build("buildings", {"building": self._key(name)}, find)["floors"].tolist()
+        return [Floor(row[0], row[1], (row[2], row[3], row[4], row[5])) for row in rows]
+
+    def _key(self, name: str) -> str:
+        files = self._layout.files(self._buildings[name])
+        stamps = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files]
+        return json.dumps([self.name, name, stamps, code_version()])
+
+
+@lru_cache(maxsize=2)
+def _building(layout: Layout, path: Path) -> Building:
+    """The building read last is kept: its floors mostly follow each other."""
+    return layout.read(path)
+
+
+@lru_cache(maxsize=1)
+def code_version() -> str:
+    """Hash of this plugin's code."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

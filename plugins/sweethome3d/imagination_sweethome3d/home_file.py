@@ -1,0 +1,293 @@
+"""What a Sweet Home 3D file says: walls, rooms, openings and furniture of each level, in metres.
+
+Plans are drawn with x to the right and y down, angles clockwise; here y is up and angles counter-clockwise.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+import numpy as np
+
+from imagination.errors import UserError
+from imagination_sweethome3d.archives import Archive, opened
+
+HOME = "Home.xml"
+FURNITURE = ("pieceOfFurniture", "light", "shelfUnit", "doorOrWindow")
+PLAIN = 0.78, 0.76, 0.72
+CENTIMETRE = 0.01
+LONGEST = 1000.0
+"""Farthest from the origin, and largest, that anything may be, metres."""
+MAX_PIECES = 20_000
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A straight piece of wall: from start to end along its middle, metres."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    thickness: float
+    height: float
+    colour: Colour
+
+
+@dataclass(frozen=True)
+class Room:
+    """A floor and, mostly, a ceiling."""
+
+    outline: tuple[tuple[float, float], ...]
+    floor: Colour
+    ceiling: Colour
+    has_ceiling: bool
+
+
+@dataclass(frozen=True)
+class HomePiece:
+    """A piece of furniture, or what fills an opening.
+
+    Attributes:
+        catalogue_id, name, model: as the file has them.
+        centre: x, y of its middle; `elevation` of its foot above the level's floor, metres.
+        yaw: of its x axis, radians.
+        size: width, depth, height, metres.
+        mirrored: whether its model is mirrored left to right.
+        turn: rotation of its model, nine numbers by rows.
+        opening: whether it belongs into a wall.
+        colour: that replaces the model's, if one was chosen.
+    """
+
+    catalogue_id: str
+    name: str
+    model: str
+    centre: tuple[float, float]
+    elevation: float
+    yaw: float
+    size: tuple[float, float, float]
+    mirrored: bool
+    turn: tuple[float, ...]
+    opening: bool
+    colour: Colour | None
+
+
+@dataclass(frozen=True)
+class Level:
+    """One floor of a home: `elevation` of its floor and `height` of its walls, metres."""
+
+    name: str
+    elevation: float
+    height: float
+    walls: tuple[Wall, ...]
+    rooms: tuple[Room, ...]
+    pieces: tuple[HomePiece, ...]
+
+    @property
+    def openings(self) -> tuple[HomePiece, ...]:
+        return tuple(piece for piece in self.pieces if piece.opening)
+
+    @property
+    def furniture(self) -> tuple[HomePiece, ...]:
+        return tuple(piece for piece in self.pieces if not piece.opening)
+
+
+def read_home(path: Path) -> tuple[Level, ...]:
+    """The levels of a home that have something to stand on and furniture.
+
+    Raises:
+        UserError: if it is no home, an older one, damaged, or has no furniture.
+    """
+    with opened(path) as archive:
+        if HOME not in archive:
+            if "Home" in archive:
+                raise UserError(
+                    f"{path}: has no {HOME}: a version of Sweet Home 3D before 5.3 wrote it; open it in a newer one "
+                    "and save it again"
+                )
+            raise UserError(f"{path}: has no {HOME}, expected a home of Sweet Home 3D (.sh3d)")
+        root = parse_xml(archive.read(HOME), f"{path}: {HOME}")
+    if root.tag != "home":
+        raise UserError(f"{path}: {HOME} holds <{root.tag}>, expected <home>")
+    try:
+        levels = _levels(root, path)
+    except (KeyError, ValueError) as error:
+        raise UserError(f"{path}: {HOME} is broken: {error}") from error
+    usable = tuple(level for level in levels if level.furniture and (level.rooms or level.walls))
+    if not usable:
+        raise UserError(
+            f"{path}: none of its {len(levels)} levels has furniture and a room or walls around it; furnish it in "
+            "Sweet Home 3D"
+        )
+    return usable
+
+
+def parse_xml(content: bytes, where: str) -> Element:
+    """XML without a document type, so that no entity is ever defined, let alone fetched.
+
+    Raises:
+        UserError: if it is malformed or declares a document type.
+    """
+    builder, parser = TreeBuilder(), expat.ParserCreate()
+
+    def refuse(*_: object) -> None:
+        raise UserError(f"{where}: declares a document type, which no home needs; it is not read")
+
+    parser.StartDoctypeDeclHandler = refuse
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(content, True)
+        return builder.close()
+    except (expat.ExpatError, AssertionError) as error:
+        raise UserError(f"{where} is damaged: {error}") from error
+
+
+def model_archive(path: Path, archive: Archive, piece: HomePiece) -> str | None:
+    """The member that holds a piece's model; None if the home has none."""
+    return piece.model if piece.model and piece.model in archive else None
+
+
+def _levels(root: Element, path: Path) -> list[Level]:
+    known = {node.attrib["id"]: node for node in root.iter("level")}
+    wall_height = _length(root, "wallHeight", 250.0)
+    levels = []
+    for key, node in (known or {"": None}).items():
+        walls = [
+            wall
+            for child in root.findall("wall")
+            if child.get("level", "") == key
+            for wall in _walls(child, wall_height)
+        ]
+        rooms = [_room(child) for child in root.findall("room") if child.get("level", "") == key]
+        pieces = [_piece(child) for child in _furniture(root) if child.get("level", "") == key]
+        if len(pieces) > MAX_PIECES:
+            raise ValueError(f"it has {len(pieces)} pieces of furniture, expected at most {MAX_PIECES}")
+        heights = [wall.height for wall in walls]
+        levels.append(
+            Level(
+                "" if node is None else node.get("name", key),
+                0.0 if node is None else _length(node, "elevation"),
+                max(heights, default=wall_height if node is None else _length(node, "height", 250.0)),
+                tuple(walls),
+                tuple(room for room in rooms if len(room.outline) > 2),
+                tuple(pieces),
+            )
+        )
+    return levels
+
+
+def _furniture(node: Element) -> Iterator[Element]:
+    """Visible furniture; that of a group in the group's place in the list (its pieces carry their own positions)."""
+    for child in node:
+        if child.get("visible", "true") == "false":
+            continue
+        if child.tag == "furnitureGroup":
+            level = child.get("level")
+            for inner in _furniture(child):
+                if level is not None and inner.get("level") is None:
+                    inner.set("level", level)
+                yield inner
+        elif child.tag in FURNITURE:
+            yield child
+
+
+def _walls(node: Element, wall_height: float) -> list[Wall]:
+    """A wall; an arc as eight straight pieces."""
+    ends = [
+        np.array([_length(node, f"x{end}", None), -_length(node, f"y{end}", None)])
+        for end in ("Start", "End")
+    ]
+    height = max(_length(node, "height", wall_height / CENTIMETRE), _length(node, "heightAtEnd", 0.0))
+    thickness = _length(node, "thickness", 7.5)
+    colour = _colour(node.get("leftSideColor") or node.get("rightSideColor")) or (0.93, 0.92, 0.9)
+    if not 0 < thickness < 5 or not 0 < height < 50:
+        raise ValueError(f"a wall is {thickness} m thick and {height} m high")
+    points = _along_arc(*ends, float(node.get("arcExtent", 0.0)))
+    return [
+        Wall((float(a[0]), float(a[1])), (float(b[0]), float(b[1])), thickness, height, colour)
+        for a, b in zip(points[:-1], points[1:], strict=True)
+        if np.hypot(*(b - a)) > 1e-4
+    ]
+
+
+def _along_arc(start: np.ndarray, end: np.ndarray, extent: float) -> list[np.ndarray]:
+    """Points from start to end on an arc of so many radians (positive turns counter-clockwise on the plan)."""
+    if abs(extent) < 1e-3 or not abs(extent) < 2 * np.pi:
+        return [start, end]
+    chord = end - start
+    # the plan's y points down, so that its turns are the other way round here
+    turn = -extent
+    centre = (start + end) / 2 + np.array([-chord[1], chord[0]]) / (2 * np.tan(turn / 2))
+    arm = start - centre
+    angles = np.linspace(0, turn, 9)
+    return [
+        centre + np.array([np.cos(a) * arm[0] - np.sin(a) * arm[1], np.sin(a) * arm[0] + np.cos(a) * arm[1]])
+        for a in angles
+    ]
+
+
+def _room(node: Element) -> Room:
+    outline = tuple(
+        (_length(point, "x", None), -_length(point, "y", None)) for point in node.findall("point")
+    )
+    return Room(
+        outline,
+        _colour(node.get("floorColor")) or PLAIN,
+        _colour(node.get("ceilingColor")) or (0.97, 0.97, 0.96),
+        node.get("ceilingVisible", "true") != "false",
+    )
+
+
+def _piece(node: Element) -> HomePiece:
+    width, depth, height = (_length(node, side, None) for side in ("width", "depth", "height"))
+    if not all(0 < side < LONGEST for side in (width, depth, height)):
+        raise ValueError(f"{node.get('name')!r} measures {width} x {depth} x {height} m")
+    turn = tuple(float(value) for value in node.get("modelRotation", "1 0 0 0 1 0 0 0 1").split())
+    if len(turn) != 9 or not np.isfinite(turn).all():
+        raise ValueError(f"{node.get('name')!r} has the modelRotation {turn}")
+    return HomePiece(
+        node.get("catalogId", ""),
+        node.get("name", ""),
+        node.get("model", ""),
+        (_length(node, "x", None), -_length(node, "y", None)),
+        _length(node, "elevation"),
+        -_number(node, "angle", 0.0),
+        (width, depth, height),
+        node.get("modelMirrored") == "true",
+        turn,
+        node.tag == "doorOrWindow",
+        _colour(node.get("color")),
+    )
+
+
+def _length(node: Element, name: str, default: float | None = 0.0) -> float:
+    """A length of the file, which are centimetres, in metres."""
+    value = _number(node, name, default) * CENTIMETRE
+    if not abs(value) <= LONGEST:
+        raise ValueError(f"<{node.tag}> has {name}={node.get(name)!r}")
+    return value
+
+
+def _number(node: Element, name: str, default: float | None) -> float:
+    text = node.get(name)
+    if text is None:
+        if default is None:
+            raise ValueError(f"<{node.tag}> has no {name}")
+        return default
+    value = float(text)
+    if not np.isfinite(value):
+        raise ValueError(f"<{node.tag}> has {name}={text!r}")
+    return value
+
+
+def _colour(text: str | None) -> Colour | None:
+    """RGB, 0 to 1, of eight or six hexadecimal digits."""
+    if not text:
+        return None
+    number = int(text, 16)
+    red, green, blue = ((number >> shift & 255) / 255 for shift in (16, 8, 0))
+    return red, green, blue

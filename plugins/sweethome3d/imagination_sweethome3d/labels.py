@@ -1,0 +1,124 @@
+"""What a piece of furniture is: from its id and model first, from its name in any language last."""
+
+import re
+from collections.abc import Mapping, Sequence
+
+Size = tuple[float, float, float]
+"""Width, depth and height, metres."""
+
+RULES: tuple[tuple[str, str], ...] = (
+    ("", r"lamp|light|fan\b|tennis|football|billiard|pool|bat$|horse|car\b|window|door|wheel ?chair|hammock|sleeping|"
+         r"changing|crib|baby|high ?chair|electric chair|deck ?chair|beach|lounge|relax|mattress|container|workbench|"
+         r"abdominal|piano|swimming|leon|\bchairman|bed ?spread|tablet|vegetable|table ?ware|table ?fan|cable|"
+         r"chair ?lift|sofa ?bed|bedding|turntable|timetable|stable|portable|adjustable"),
+    ("nightstand", r"bed ?side|night ?(stand|table)"),
+    ("stool", r"stool|bar ?chair|puff?\b|pouf|ottoman$"),
+    ("sofa", r"sofa|couch|divan|settee|canape"),
+    ("bench", r"bench"),
+    ("armchair", r"arm ?chair|easy ?chair|fauteuil|fotel|rocking chair|club ?chair"),
+    ("chair", r"chair|\bclass ?seat|silla|\bstuhl"),
+    ("bed", r"\bbeds?\b|bunk|mezzanine|futon|cama\b"),
+    ("desk", r"desk|biurko|bureau\b|secretary"),
+    ("table", r"tables?\b"),
+    ("wardrobe", r"wardrobe|closet|armoire"),
+    ("dresser", r"dresser|chest of drawers|commode|drawers"),
+    ("shelf", r"book ?(case|shel)|shel(f|ves|ving)\b"),
+    ("sideboard", r"sideboard|buffet|cupboard"),
+    ("tv_stand", r"tv (unit|stand|furniture)|television (unit|stand)"),
+    ("fridge", r"fridge|refrigerator"),
+    ("toilet", r"\btoilet( unit)?$|\bwc\b"),
+    ("basin", r"wash ?basin"),
+    ("bath", r"\bbath( ?tub)?$"),
+    ("floor_lamp", r"floor (up)?lamp"),
+    ("plant", r"\bplant|ficus|bamboo|bonsai|yucca"),
+)  # fmt: skip
+"""Kinds by words in English, the first that fits; "" for what only sounds like furniture."""
+
+LAMPS = {"floor_lamp": r"floor (up)?(lamp|light)"}
+"""Kinds that the first rule would leave out."""
+
+WORDS: Mapping[str, Sequence[str]] = {
+    "armchair": (
+        "fauteuil", "sessel", "poltrona", "sillon", "sillón", "fåtölj", "fauteuille", "fotel", "кресло", "lænestol",
+        "扶手椅", "肘掛け椅子", "안락의자", "πολυθρόνα", "křeslo", "fotelj", "фотьойл", "ghế bành",
+    ),
+    "chair": (
+        "chaise", "stuhl", "sedia", "silla", "cadeira", "stol", "stoel", "krzesło", "židle", "tuoli", "стул", "стол за",
+        "szék", "椅子", "いす", "イス", "의자", "καρέκλα", "стілець", "sandalye", "ghế", "כיסא", "كرسي",
+    ),
+    "bed": (
+        "lit", "bett", "letto", "cama", "säng", "seng", "łóżko", "postel", "sänky", "кровать", "ágy", "床", "ベッド",
+        "침대", "κρεβάτι", "легло", "ліжко", "yatak", "giường", "מיטה", "سرير",
+    ),
+    "desk": (
+        "schreibtisch", "scrivania", "escritorio", "escrivaninha", "secretária", "skrivbord", "bureau", "biurko",
+        "kirjoituspöytä", "письменный стол", "íróasztal", "书桌", "デスク", "책상", "γραφείο", "бюро",
+    ),
+    "table": (
+        "tisch", "tavolo", "mesa", "bord", "tafel", "stół", "stůl", "pöytä", "стол", "asztal", "桌", "テーブル",
+        "테이블", "τραπέζι", "маса", "стіл", "masa", "bàn", "שולחן", "طاولة",
+    ),
+    "sofa": ("canapé", "divano", "sofá", "soffa", "диван", "kanapa", "pohovka", "kanapé", "沙发", "ソファ", "소파"),
+    "stool": ("tabouret", "hocker", "sgabello", "taburete", "pall", "kruk", "barkruk", "taboret", "табурет"),
+}  # fmt: skip
+"""Names in other languages than English, for furniture that nothing else tells about."""
+
+OFFICE = re.compile(r"office|desk|swivel|task", re.IGNORECASE)
+
+
+def label_of(texts: Sequence[str], size: Size) -> str | None:
+    """The procedural homes' label for furniture with these English texts, the most telling first; None if unknown."""
+    for text in texts:
+        spaced = words_of(text)
+        for kind, pattern in RULES:
+            hidden = kind == "" and any(re.search(lamp, spaced) for lamp in LAMPS.values())
+            if not hidden and re.search(pattern, spaced):
+                return by_size(kind, size, bool(OFFICE.search(" ".join(texts)))) if kind else None
+    return None
+
+
+def label_of_name(name: str, known: Mapping[str, str], size: Size) -> str | None:
+    """The label of a name in any language: as a catalogue has it, else by single words.
+
+    Args:
+        name: of the piece.
+        known: labels by names of catalogues, in lower case.
+        size: of the piece.
+    """
+    folded = name.casefold().strip()
+    if folded in known:
+        return known[folded]
+    if (label := label_of([folded], size)) is not None:
+        return label
+    for kind, words in WORDS.items():
+        for word in words:
+            if word.isascii() or word.isalpha() and word[0] < "\u0590":
+                found = re.search(rf"\b{word}\b", folded)
+            else:  # scripts without spaces between words
+                found = re.search(word, folded)
+            if found:
+                return by_size(kind, size, False)
+    return None
+
+
+def by_size(kind: str, size: Size, office: bool) -> str:
+    """The label of a kind, where it depends on the size or the place."""
+    width, depth, height = size
+    match kind:
+        case "chair":
+            return "office_chair" if office else "chair"
+        case "bed":
+            return "bunk_bed" if height > 1.4 else "double_bed" if min(width, depth) > 1.25 else "single_bed"
+        case "table" if max(width, depth) < 0.64 and height < 0.72:
+            return "side_table"
+        case "table":
+            return "coffee_table" if height < 0.6 else "dining_table"
+        case _:
+            return kind
+
+
+def words_of(text: str) -> str:
+    """An id or a file's name as words: "eTeks#squareTable" becomes "square table"."""
+    tail = re.split(r"[#/]", text)[-1].removesuffix(".obj")
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|[_\-.]|(?<=\D)(?=\d)", " ", tail)
+    return " ".join(spaced.casefold().split())

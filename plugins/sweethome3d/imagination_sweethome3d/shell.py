@@ -1,0 +1,106 @@
+"""The building of one level of a home as a piece: floors, ceilings, walls with their openings."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from imagination.errors import UserError
+from imagination.scenes.procedural.palette import Finish
+from imagination.scenes.procedural.pieces import Assembly, Piece
+from imagination.scenes.procedural.shapes import Solid, box
+from imagination.scenes.scene import Material
+from imagination_sweethome3d.home_file import Colour, HomePiece, Level, Room, Wall
+
+SILL = 0.15
+"""Highest foot of an opening that is a door, metres: windows are closed by a pane, doors stand open."""
+GLASS = (0.80, 0.88, 0.95)
+AT_WALL = 0.35
+"""Farthest that an opening's middle may lie from a wall's, metres."""
+
+
+def build_shell(level: Level) -> Piece:
+    """Everything of a level that is not furniture, its floor at height 0."""
+    shell = Assembly("building", "building")
+    finishes: dict[Colour, Finish] = {}
+
+    def finish(colour: Colour) -> Finish:
+        return finishes.setdefault(colour, Finish(Material(colour)))
+
+    for room in level.rooms or (_around(level.walls),):
+        floor = triangulated(room)
+        shell.add(floor, finish(room.floor))
+        if room.has_ceiling:
+            shell.add(
+                Solid(floor.vertices + [0, 0, level.height], floor.faces[:, ::-1]), finish(room.ceiling)
+            )
+    for wall in level.walls:
+        _add_wall(shell, wall, level.openings, finish(wall.colour), finish(GLASS))
+    return shell.finished()
+
+
+def triangulated(room: Room) -> Solid:
+    """A room's floor: a polygon without holes as triangles that look up.
+
+    Raises:
+        UserError: if the extra is not installed, or its outline encloses nothing.
+    """
+    try:
+        from mapbox_earcut import triangulate_float64
+    except ImportError as error:
+        raise UserError(
+            "homes of Sweet Home 3D need mapbox_earcut: pip install 'imagination[sweethome3d]'"
+        ) from error
+    points = np.array(room.outline, np.float64)
+    faces = triangulate_float64(points, np.array([len(points)], np.uint32)).astype(np.int64).reshape(-1, 3)
+    vertices = np.column_stack([points, np.zeros(len(points))])
+    corners = points[faces]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    down = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] < 0
+    faces[down] = faces[down][:, ::-1]
+    return Solid(vertices, faces)
+
+
+def _around(walls: Sequence[Wall]) -> Room:
+    """The smallest rectangle around the walls, where no room was drawn."""
+    points = np.array([end for wall in walls for end in (wall.start, wall.end)], np.float32)
+    corners = cv2.boxPoints(cv2.minAreaRect(points)).astype(float)
+    outline = tuple((float(x), float(y)) for x, y in corners)
+    return Room(outline, (0.7, 0.62, 0.5), (0.97, 0.97, 0.96), True)
+
+
+def _add_wall(
+    shell: Assembly, wall: Wall, openings: Sequence[HomePiece], finish: Finish, glass: Finish
+) -> None:
+    """A wall as boxes around its openings: its side is cut at all their edges, and what lies in one is left out."""
+    start, end = np.array(wall.start), np.array(wall.end)
+    length = float(np.hypot(*(end - start)))
+    along = (end - start) / length
+    yaw = float(np.arctan2(along[1], along[0]))
+    holes = [hole for piece in openings if (hole := _hole(piece, wall, start, along, length)) is not None]
+    cuts_s = np.unique(np.clip([0.0, length, *(s for hole in holes for s in hole[:2])], 0, length))
+    cuts_z = np.unique(np.clip([0.0, wall.height, *(z for hole in holes for z in hole[2:])], 0, wall.height))
+    for s0, s1 in zip(cuts_s[:-1], cuts_s[1:], strict=True):
+        for z0, z1 in zip(cuts_z[:-1], cuts_z[1:], strict=True):
+            s, z = (s0 + s1) / 2, (z0 + z1) / 2
+            if not any(hole[0] < s < hole[1] and hole[2] < z < hole[3] for hole in holes):
+                x, y = start + along * s
+                shell.add(box(s1 - s0, wall.thickness, z1 - z0), finish, (x, y, z0), yaw)
+    for s0, s1, z0, z1 in holes:
+        if z0 > SILL:
+            x, y = start + along * (s0 + s1) / 2
+            shell.add(box(s1 - s0, 0.01, z1 - z0), glass, (x, y, z0), yaw)
+
+
+def _hole(
+    piece: HomePiece, wall: Wall, start: np.ndarray, along: np.ndarray, length: float
+) -> tuple[float, float, float, float] | None:
+    """From where to where along a wall and up it a door or window reaches; None if it is in another wall."""
+    offset = np.array(piece.centre) - start
+    s, off = float(offset @ along), float(along[0] * offset[1] - along[1] * offset[0])
+    direction = np.array([np.cos(piece.yaw), np.sin(piece.yaw)])
+    parallel = abs(float(direction @ along)) > 0.95
+    half = piece.size[0] / 2
+    if not parallel or abs(off) > max(AT_WALL, wall.thickness) or s + half <= 0 or s - half >= length:
+        return None
+    return s - half, s + half, piece.elevation, piece.elevation + piece.size[2]

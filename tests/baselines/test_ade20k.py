@@ -1,0 +1,176 @@
+"""Public weights: the layout's names written down from its description, each tensor found again in its place."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from imagination.baselines.ade20k import CLASSES, PublicHRNet
+from imagination.categories import CategoryTable
+from imagination.config import compose
+from imagination.errors import UserError
+from imagination.geometry.camera import Camera
+
+CAMERA = Camera.from_degrees(64, 48, 90.0, 1.25)
+WIDTHS = (48, 96, 192, 384)
+
+Shapes = dict[str, tuple[int, ...]]
+
+
+def convolution(name: str, inputs: int, outputs: int, kernel: int) -> Shapes:
+    return {f"{name}.weight": (outputs, inputs, kernel, kernel)}
+
+
+def normalisation(name: str, channels: int) -> Shapes:
+    counted = "weight", "bias", "running_mean", "running_var", "_tmp_running_mean", "_tmp_running_var"
+    return {**{f"{name}.{part}": (channels,) for part in counted}, f"{name}._running_iter": (1,)}
+
+
+def pair(name: str, inputs: int, outputs: int, kernel: int = 3) -> Shapes:
+    """Convolution and normalisation as the first two parts of a sequence."""
+    return convolution(f"{name}.0", inputs, outputs, kernel) | normalisation(f"{name}.1", outputs)
+
+
+def encoder() -> Shapes:
+    """HRNetV2-W48: stem, four bottlenecks, stages of 1, 4 and 3 modules with 2, 3 and 4 branches of four blocks."""
+    shapes: Shapes = {}
+    for number, inputs in ((1, 3), (2, 64)):
+        shapes |= convolution(f"conv{number}", inputs, 64, 3) | normalisation(f"bn{number}", 64)
+    for block in range(4):
+        sizes = ((256 if block else 64), 64, 1), (64, 64, 3), (64, 256, 1)
+        for number, (inputs, outputs, kernel) in enumerate(sizes, 1):
+            shapes |= convolution(f"layer1.{block}.conv{number}", inputs, outputs, kernel)
+            shapes |= normalisation(f"layer1.{block}.bn{number}", outputs)
+    shapes |= pair("layer1.0.downsample", 64, 256, 1)
+    shapes |= pair("transition1.0", 256, 48) | pair("transition1.1.0", 256, 96)
+    shapes |= pair("transition2.2.0", 96, 192) | pair("transition3.3.0", 192, 384)
+    for stage, modules in ((2, 1), (3, 4), (4, 3)):
+        for module in range(modules):
+            for branch in range(stage):
+                for block in range(4):
+                    for number in (1, 2):
+                        name = f"stage{stage}.{module}.branches.{branch}.{block}"
+                        shapes |= convolution(f"{name}.conv{number}", WIDTHS[branch], WIDTHS[branch], 3)
+                        shapes |= normalisation(f"{name}.bn{number}", WIDTHS[branch])
+                for other in range(stage):
+                    name = f"stage{stage}.{module}.fuse_layers.{branch}.{other}"
+                    if other > branch:  # from a coarser branch
+                        shapes |= pair(name, WIDTHS[other], WIDTHS[branch], 1)
+                    for step in range(branch - other):  # from a finer one, halved step by step
+                        last = step == branch - other - 1
+                        shapes |= pair(f"{name}.{step}", WIDTHS[other], WIDTHS[branch if last else other])
+    return shapes
+
+
+def decoder(classes: int = 150) -> Shapes:
+    head = {"conv_last.weight": (classes, 180, 1, 1), "conv_last.bias": (classes,)}
+    return pair("cbr", sum(WIDTHS), 180) | head
+
+
+def write(folder: Path, part: str, shapes: Shapes, first: int = 0, prefix: str = "") -> dict[str, Tensor]:
+    """A file of the layout in which each tensor holds one number of its own."""
+    state = {
+        prefix + name: torch.tensor(float(number)).expand(shape)
+        for number, (name, shape) in enumerate(shapes.items(), first)
+    }
+    torch.save(state, folder / f"{part}_epoch_30.pth")
+    return state
+
+
+def table() -> CategoryTable:
+    config = compose("train", ["paths.run=."])
+    return CategoryTable.from_config({name: dict(row) for name, row in config.categories.items()})
+
+
+def test_every_tensor_gets_its_place(tmp_path: Path) -> None:
+    given = (
+        write(tmp_path, "encoder", encoder()),
+        write(tmp_path, "decoder", decoder(), 5000, prefix="module."),
+    )
+    network = PublicHRNet.load(tmp_path, table(), CAMERA).network
+    ours = {**dict(network.named_parameters()), **dict(network.named_buffers())}
+    for name, value in given[0].items():
+        if not name.endswith(("_tmp_running_mean", "_tmp_running_var", "_running_iter")):
+            assert torch.equal(ours.pop(f"encoder.{name}"), value), name
+    for name, place in (("cbr.0", "decoder.0.0"), ("cbr.1", "decoder.0.1"), ("conv_last", "decoder.1")):
+        for part in ("weight", "bias", "running_mean", "running_var"):
+            if (value := given[1].get(f"module.{name}.{part}")) is not None:
+                assert torch.equal(ours.pop(f"{place}.{part}"), value), name
+    left = {name for name in ours if not name.endswith("num_batches_tracked")}
+    assert left == {"mean", "deviation"}  # nothing keeps its random weights
+
+
+class Sure(torch.nn.Module):
+    """Four pixels of a chair, a bed, a wall and a swivel chair."""
+
+    def forward(self, rgb: Tensor) -> Tensor:
+        return torch.eye(150)[[19, 7, 0, 75]].T.reshape(1, 150, 2, 2)
+
+
+def test_classes_become_categories() -> None:
+    assert len(CLASSES) == len(set(CLASSES)) == 150
+    # as in the benchmark's own list, which counts from 1
+    assert [CLASSES.index(name) + 1 for name in ("bed", "table", "chair", "armchair", "desk")] == [
+        8,
+        16,
+        20,
+        31,
+        34,
+    ]
+    assert [CLASSES.index(name) + 1 for name in ("coffee_table", "swivel_chair", "stool")] == [65, 76, 111]
+    network = PublicHRNet(table(), CAMERA)
+    assert network.categories == ["chair", "bed", "table"]
+    places = {CLASSES[index]: int(place) for index, place in enumerate(network.place) if place}
+    assert places == {
+        "chair": 1, "armchair": 1, "swivel_chair": 1, "bed": 2, "table": 3, "desk": 3, "coffee_table": 3,
+    }  # fmt: skip
+    # the likeliest class alone counts
+    network.network = Sure()
+    assert network.segment(torch.zeros(1, 3, 2, 2, dtype=torch.uint8), 2, 2).tolist() == [[[1, 2], [0, 1]]]
+
+
+@pytest.mark.parametrize(
+    ("part", "shapes", "told"),
+    [
+        ("decoder", decoder(19), r"decoder\.1\.weight: got \(19, 180, 1, 1\), expected \(150, 180, 1, 1\)"),
+        (
+            "encoder",
+            {"conv1.weight": (64, 3, 7, 7)},
+            r"encoder\.conv1\.weight: got \(64, 3, 7, 7\), expected \(64,",
+        ),
+        (
+            "encoder",
+            encoder() | {"fc.weight": (1000, 2048)},
+            r"encoder\.fc\.weight: got \(1000, 2048\), expected none",
+        ),
+    ],
+)
+def test_weights_of_another_architecture_are_refused_by_name(
+    tmp_path: Path, part: str, shapes: Shapes, told: str
+) -> None:
+    for name, entries in {"encoder": encoder(), "decoder": decoder(), part: shapes}.items():
+        write(tmp_path, name, entries)
+    with pytest.raises(UserError, match=told) as caught:
+        PublicHRNet.load(tmp_path, table(), CAMERA)
+    assert "of another architecture than HRNetV2-W48" in str(caught.value)
+    assert str(caught.value).count("expected (") + str(caught.value).count("expected none") <= 3
+
+
+def test_files_that_are_missing_or_no_weights_are_refused(tmp_path: Path) -> None:
+    write(tmp_path, "encoder", {"conv1.weight": (1,)})
+    with pytest.raises(UserError, match=r"got none in .*, expected one file decoder_\*\.pth"):
+        PublicHRNet.load(tmp_path, table(), CAMERA)
+    torch.save({"weights": Path("x")}, tmp_path / "decoder_epoch_30.pth")
+    with pytest.raises(UserError, match="holds more than weights"):
+        PublicHRNet.load(tmp_path, table(), CAMERA)
+
+
+def test_a_class_that_does_not_exist_is_refused() -> None:
+    rows = {"chair": {"colour": [0, 0, 0], "members": {"ade20k": ["swivel chair"]}}}
+    with pytest.raises(
+        UserError, match="chair claims 'swivel chair' of ade20k, expected classes among: wall"
+    ):
+        PublicHRNet(CategoryTable.from_config(rows), CAMERA)
+    with pytest.raises(UserError, match=r"no row lists members\.ade20k"):
+        PublicHRNet(CategoryTable.from_config({"chair": {"colour": [0, 0, 0]}}), CAMERA)

@@ -1,0 +1,169 @@
+"""Exported units answer as PyTorch does, on real views, and run without torch."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+from imagination.checkpoints import Checkpoint
+from imagination.deployment.export import compare, export, pooled_iou
+from imagination.deployment.load import load
+from imagination.errors import UserError
+from imagination.mapping.semantic import SemanticMapper
+from tests.conftest import ROOT, Command
+from tests.deployment.checkpoints import make_checkpoint, samples
+from tests.mapping.test_semantic import frames
+from tests.modules import CAMERA, EGO
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """chair.ckpt, bed.ckpt (of another variant), chair.onnx, both.onnx and both.pt2."""
+    folder = tmp_path_factory.mktemp("units")
+    chair = Checkpoint.read(make_checkpoint(folder / "chair.ckpt"))
+    bed = Checkpoint.read(make_checkpoint(folder / "bed.ckpt", "model=projected", "unit_categories=[bed]"))
+    views = samples(2)
+    export([chair], folder / "chair.onnx", "onnx", "float32", views)
+    export([chair, bed], folder / "both.onnx", "onnx", "float32", views)
+    export([chair, bed], folder / "both.pt2", "torch_export", "float32", views)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["both.onnx", "both.pt2"])
+def test_it_answers_as_pytorch(files: Path, name: str) -> None:
+    module, reference = load(files / name), load([files / "chair.ckpt", files / "bed.ckpt"])
+    assert module.description == reference.description
+    assert module.description.categories == ("chair", "bed")
+    views = samples(6)
+    check = compare(module, reference, views)
+    assert check.difference < 1e-4
+    answers = np.stack([module(view.observation) for view in views])
+    assert answers.min() < 0.4 and answers.max() > 0.6 and answers[0].std() > 0.02
+    for channel in range(2):  # each of them looks at heights above the floor, which move with the camera
+        lower = views[0].observation._replace(mount_height=0.9)
+        np.testing.assert_allclose(module(lower), reference(lower), atol=1e-4)
+        assert np.abs(module(lower) - module(views[0].observation))[channel].max() > 1e-3
+
+
+def test_what_the_file_says_of_itself(files: Path) -> None:
+    model = onnx.load(files / "both.onnx")
+    told = json.loads({entry.key: entry.value for entry in model.metadata_props}["imagination"])
+    assert told["categories"] == ["chair", "bed"] and told["precision"] == "float32"
+    assert told["ego"] == {"resolution": EGO.resolution, "cells": EGO.cells}
+    assert told["camera"]["width"] == CAMERA.width and told["camera"]["mount_height"] == 1.25
+    np.testing.assert_allclose(
+        told["normalisation"][0]["mean"], 255 * np.array([0.485, 0.456, 0.406]), rtol=1e-5
+    )
+
+
+def test_it_maps_as_the_checkpoint_does(files: Path) -> None:
+    ours, theirs = SemanticMapper(load(files / "chair.onnx")), SemanticMapper(load(files / "chair.ckpt"))
+    for frame in frames():
+        ours.update(*frame)
+        theirs.update(*frame)
+    np.testing.assert_allclose(ours.maps.probabilities, theirs.maps.probabilities, atol=1e-3)
+
+
+WITHOUT_TORCH = """
+import sys
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("torch", "hydra", "lightning", "omegaconf", "timm"):
+            raise ImportError("blocked: " + name)
+sys.meta_path.insert(0, Block())
+import numpy as np
+from imagination.deployment.load import load
+from imagination.geometry.pose import Pose
+from imagination.mapping.semantic import SemanticMapper
+mapper = SemanticMapper(load(sys.argv[1]))
+mapper.update(np.full((48, 48, 3), 90, np.uint8), np.full((48, 48), 2.0, np.float32), Pose(0.0, 0.0, 0.5))
+mapper.save(sys.argv[2])
+assert "torch" not in sys.modules
+try:
+    load(sys.argv[1].replace("onnx", "ckpt"))
+except ImportError as error:
+    print(error)
+"""
+
+
+def test_onnx_needs_no_torch(files: Path, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_TORCH, str(files / "chair.onnx"), str(tmp_path / "map")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("blocked: ")  # the block works
+    assert (tmp_path / "map" / "map.yaml").is_file()
+
+
+def test_what_is_no_unit_is_refused(files: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.onnx"
+    broken.write_bytes((files / "chair.onnx").read_bytes()[:5000])
+    (tmp_path / "noise.pt2").write_bytes(bytes(1000))
+    strange = onnx.load(files / "chair.onnx")
+    del strange.metadata_props[:]
+    onnx.save(strange, tmp_path / "strange.onnx")
+    for path, told in (
+        (broken, "cannot be read as ONNX"),
+        (tmp_path / "noise.pt2", "cannot be read as a program of torch.export"),
+        (tmp_path / "strange.onnx", "was not written by imagination.export"),
+        (tmp_path / "none.onnx", "there is no such file"),
+        (tmp_path / "unit.pth", "expected a file that ends in one of: .onnx, .pt2, .ckpt"),
+    ):
+        with pytest.raises(UserError, match=told):
+            load(path)
+    with pytest.raises(UserError, match="expected at least one"):
+        load([])
+    with pytest.raises(UserError, match="got the categories"):
+        load([files / "chair.onnx", files / "chair.ckpt"])
+
+
+def test_a_missing_onnxruntime_says_what_to_install(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(UserError, match=r"pip install 'imagination\[onnx\]'"):
+        load(files / "chair.onnx")
+
+
+def test_iou_by_hand() -> None:
+    answers = np.array([[[[0.9, 0.5], [0.2, 0.7]]]], np.float32)
+    labels = np.array([[[[True, False], [True, True]]]])
+    assert pooled_iou(answers, labels) == pytest.approx(2 / 4)
+    assert pooled_iou(np.zeros((1, 1, 2, 2), np.float32), np.zeros((1, 1, 2, 2), np.bool_)) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "ckpt: got none"),
+        (["ckpt=none.ckpt"], "got none.ckpt, but there is no such file"),
+        (["ckpt=a.ckpt", "format=tflite"], "format: got 'tflite', expected one of: onnx, torch_export"),
+        (["ckpt=a.ckpt", "precision=int4"], "expected one of: float32, int8"),
+    ],
+)
+def test_mistakes_get_one_message(command: Command, arguments: list[str], told: str) -> None:
+    done = command("export", *arguments)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert told in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("format", "precision"),
+    [("onnx", "float32"), ("torch_export", "float32"), ("onnx", "int8"), ("torch_export", "bfloat16")],
+)
+def test_the_command(files: Path, command: Command, format: str, precision: str) -> None:
+    """On homes of the run; units that were never trained find little, so the limit on IoU is wide here."""
+    chair, file = files / "chair.ckpt", f"chair{'.onnx' if format == 'onnx' else '.pt2'}"
+    arguments = [f"ckpt={chair}", f"format={format}", f"precision={precision}", "views=4", "max_loss=0.1"]
+    done = command("export", *arguments, f"file={file}", timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert "on 4 views: largest difference" in done.stderr
+    refused = command("export", *arguments, "file=x.txt", timeout=600)
+    assert refused.returncode == 2 and "expected a name that ends in" in refused.stderr

@@ -1,0 +1,88 @@
+"""Several networks side by side: each category from the one that has it."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from imagination.errors import UserError
+from imagination.evaluation.prediction import Predictor
+
+TABLE = ["chair", "bed", "table"]
+
+
+class Constant(nn.Module):
+    """A unit that answers each category with a number of its own, plus the image's brightness."""
+
+    def __init__(self, **values: float) -> None:
+        super().__init__()
+        self.categories = list(values)
+        self.values = nn.Parameter(torch.tensor(list(values.values())))
+
+    def predict(self, batch: dict[str, Tensor]) -> Tensor:
+        bright = batch["rgb"].float().mean(dim=(1, 2, 3)) / 1000
+        return (self.values + bright[:, None])[..., None, None].expand(-1, -1, 5, 5).detach()
+
+
+class Painter(nn.Module):
+    """A segmentation network that finds its last category everywhere."""
+
+    def __init__(self, *categories: str) -> None:
+        super().__init__()
+        self.categories = list(categories)
+
+    def segment(self, rgb: Tensor, rows: int, columns: int) -> Tensor:
+        return torch.full((len(rgb), rows, columns), len(self.categories), dtype=torch.uint8)
+
+
+def views(count: int) -> dict[str, np.ndarray]:
+    return {
+        "pose": np.zeros((count, 3)),
+        "rgb": np.arange(count, dtype=np.uint8)[:, None, None, None] * np.ones((1, 4, 4, 3), np.uint8),
+        "depth": np.zeros((count, 4, 4), np.float16),
+        "occupied": np.zeros((count, 5, 5), bool),
+        "seen": np.zeros((count, 5, 5), bool),
+    }
+
+
+def test_each_category_comes_from_the_unit_that_has_it() -> None:
+    predictor = Predictor([Constant(table=0.3), Constant(bed=0.1, chair=0.2)], ["chair", "table"], TABLE, 2)
+    assert predictor.gives == {"maps", "maps_of_shuffled_rgb"}
+    maps = predictor(views(3), {"maps"})["maps"]
+    assert maps.shape == (3, 2, 5, 5)
+    assert maps[:, :, 0, 0] == pytest.approx(np.array([[0.2, 0.3]]) + np.arange(3)[:, None] / 1000)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_shuffling_gives_every_view_the_colours_of_another(count: int) -> None:
+    predictor = Predictor([Constant(chair=0.0)], ["chair"], TABLE, 2)
+    answers = predictor(views(count), {"maps", "maps_of_shuffled_rgb"})
+    own, others = (1000 * answers[name][:, 0, 0, 0] for name in ("maps", "maps_of_shuffled_rgb"))
+    assert sorted(others.round()) == sorted(own.round()) == list(range(count))
+    assert count == 1 or (own.round() != others.round()).all()
+
+
+def test_a_segmentation_s_classes_become_rows_of_the_table() -> None:
+    predictor = Predictor([Painter("bed", "lamp", "table"), Constant(bed=0.0)], ["bed"], TABLE, 2)
+    assert predictor.gives == {"maps", "maps_of_shuffled_rgb", "images"}
+    images = predictor(views(3), {"images"})["images"]
+    assert images.shape == (3, 4, 4) and (images == 3).all()  # the table's third row
+    assert (Predictor([Painter("bed", "lamp")], ["bed"], TABLE, 2)(views(1), {"images"})["images"] == 0).all()
+
+
+def test_networks_that_do_not_fit_together_are_refused() -> None:
+    with pytest.raises(UserError, match="'chair': got 2 units that imagine it"):
+        Predictor([Constant(chair=0.0), Constant(chair=0.0)], ["chair"], TABLE, 2)
+    with pytest.raises(UserError, match="'bed': got 0 units that imagine it"):
+        Predictor([Constant(chair=0.0)], ["bed"], TABLE, 2)
+    with pytest.raises(UserError, match="'bed': the segmentation network does not know it"):
+        Predictor([Painter("chair")], ["bed"], TABLE, 2)
+    with pytest.raises(UserError, match="got 2 segmentation networks"):
+        Predictor([Painter("chair"), Painter("chair")], ["chair"], TABLE, 2)
+
+
+def test_the_fingerprint_follows_the_weights() -> None:
+    prints = {
+        Predictor([Constant(chair=value)], ["chair"], TABLE, 2).fingerprint for value in (0.1, 0.2, 0.1)
+    }
+    assert len(prints) == 2

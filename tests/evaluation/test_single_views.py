@@ -1,0 +1,97 @@
+"""Single views: what is ranked and shown, counts at every threshold, and files that give the same back."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imagination.errors import UserError
+from imagination.evaluation import single_views
+from imagination.evaluation.protocol import Subject
+from imagination.evaluation.runs import Run
+from imagination.evaluation.selection import THRESHOLDS
+from imagination.evaluation.single_views import Singles, _Place, picks
+from tests.evaluation.subjects import make_protocol, make_subject
+
+HOMES = ["val_0", "test_1"]
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
+    return make_subject(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="module")
+def singles(subject: Subject) -> Singles:
+    protocol = make_protocol(cell_widths=[1.5], viewpoint_sets=1)
+    return single_views.measure(protocol, subject, HOMES, protocol.choose(subject, HOMES), 9)
+
+
+def test_a_perfect_unit_is_perfect_on_what_it_should_imagine(singles: Singles) -> None:
+    """Its prediction is the whole truth around; V_valid cuts it to about the label."""
+    assert singles.views > 4
+    for category in ("chair", "bed"):
+        of = {view.rank: view for view in singles.shown if view.category == category}
+        assert list(of) == ["best", "median", "worst"]
+        assert of["best"].iou >= of["median"].iou >= of["worst"].iou
+        assert of["best"].iou > 0.8
+        view = of["best"]
+        predicted = view.predicted["imagination"]
+        assert view.iou == pytest.approx((predicted & view.label).sum() / (predicted | view.label).sum())
+        assert set(np.unique(view.probabilities)) <= {0.0, 1.0}
+        assert list(view.predicted) == list(make_protocol().approaches)
+        correct, _, truth = singles.tallies["imagination", category][49].tolist()
+        assert correct <= truth and correct > 0.7 * truth
+
+
+def test_seen_and_other_cells_add_up_to_all(singles: Singles) -> None:
+    for category in ("chair", "bed"):
+        parts = (singles.cells[part, category] for part in ("seen", "unseen"))
+        assert (sum(parts) == singles.cells["all", category]).all()
+    rows = single_views.threshold_rows(singles)
+    assert len(rows) == len(THRESHOLDS) * (len(singles.tallies) + len(singles.cells))
+    assert {row["approach"] for row in rows} == {*make_protocol().approaches, "network"}
+
+
+def test_without_a_unit_the_others_are_shown(subject: Subject) -> None:
+    from dataclasses import replace
+
+    images = subject._replace(predict=replace(subject.predict, gives=frozenset({"images"})))  # type: ignore[type-var]
+    protocol = make_protocol(cell_widths=[1.5], viewpoint_sets=1).available({"images"})
+    found = single_views.measure(protocol, images, HOMES, protocol.choose(images, HOMES), 9)
+    assert found.cells == {} and np.isnan(found.shown[0].probabilities).all()
+    assert "seg_hrnet" in found.shown[0].predicted and "imagination" not in found.shown[0].predicted
+
+
+def test_best_median_and_worst_are_by_iou_then_by_size() -> None:
+    run = Run("home", 2.0, 0)
+
+    def place(iou: float, size: int, index: int) -> _Place:
+        return _Place(iou, size, run, index)
+
+    views = [place(0.0, 20, 0), place(0.0, 90, 1), place(0.4, 30, 2), place(0.9, 40, 3), place(0.9, 50, 4),
+             place(1.0, 3, 5), place(1.0, 0, 6)]  # fmt: skip
+    assert {rank: found.at for rank, found in picks(views, 0.1).items()} == {
+        "best": 4,
+        "median": 2,
+        "worst": 1,
+    }
+    small = [place(0.2, 1, 0), place(0.7, 2, 1)]  # none has a tenth of a square metre
+    assert picks(small, 0.1)["best"].at == 1
+    assert picks([place(0.0, 0, 0)], 0.1) == {}
+
+
+def test_files_give_the_views_back(tmp_path: Path, singles: Singles) -> None:
+    single_views.write(tmp_path, singles)
+    shown, resolution = single_views.load(tmp_path / single_views.FILE)
+    assert resolution == pytest.approx(0.1)
+    for before, after in zip(singles.shown, shown, strict=True):
+        assert before[:3] == after[:3] and before.iou == after.iou
+        assert (before.rgb == after.rgb).all() and (before.label == after.label).all()
+        assert all((before.predicted[name] == after.predicted[name]).all() for name in before.predicted)
+    first = (tmp_path / single_views.FILE).read_bytes()
+    single_views.write(tmp_path, singles)
+    assert (tmp_path / single_views.FILE).read_bytes() == first
+    (tmp_path / single_views.FILE).write_bytes(first[:200])
+    with pytest.raises(UserError, match="is damaged"):
+        single_views.load(tmp_path / single_views.FILE)

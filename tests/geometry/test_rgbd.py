@@ -1,0 +1,140 @@
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from imagination.errors import UserError
+from imagination.geometry.camera import Camera
+from imagination.geometry.pose import Pose
+from imagination.geometry.rgbd import Alignment, Intrinsics, Placement, RgbdCamera
+from imagination.scenes.renderer import Renderer
+from tests.rooms import tiny_room
+
+TARGET = Camera.from_degrees(64, 64, 80.0, 1.2)
+POSE = Pose(0.6, -0.9, 2.2)
+
+
+def level(target: Camera, heading: float) -> np.ndarray:
+    return target.to_world(Pose(0.0, 0.0, heading))[:3, :3]
+
+
+def rendered(camera: Camera, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    scene = tiny_room()
+    image = Renderer(scene.mesh, scene.lighting).render(camera, matrix)
+    return image.rgb, image.depth
+
+
+@pytest.mark.parametrize(
+    ("camera", "turn"),
+    [
+        (Camera.from_degrees(200, 150, 100.0, 1.2), (0.0, 0.0)),
+        (Camera.from_degrees(200, 200, 110.0, 1.2, pitch=15.0), (15.0, 0.0)),
+        (Camera.from_degrees(240, 240, 110.0, 1.2, pitch=-8.0, roll=12.0), (-8.0, 12.0)),
+    ],
+)
+def test_an_image_becomes_that_of_the_ideal_camera_at_the_same_place(
+    camera: Camera, turn: tuple[float, float]
+) -> None:
+    """The renderer, asked for the ideal camera's image, is the independent answer."""
+    matrix = camera.to_world(POSE)
+    rgb, depth = rendered(camera, matrix)
+    place = Placement.of(matrix)
+    assert np.allclose(np.rad2deg([place.pitch, place.roll]), turn)
+    got_rgb, got = Alignment(RgbdCamera.of(camera), TARGET)(
+        rgb, depth, level(TARGET, place.pose.theta).T @ matrix[:3, :3]
+    )
+    wanted_rgb, wanted = rendered(TARGET, TARGET.to_world(POSE))
+    both = (got > 0) & (wanted > 0)
+    assert both.mean() > 0.75
+    assert (np.abs(got - wanted)[both] < 0.02 * wanted[both]).mean() > 0.93
+    assert (np.abs(got_rgb.astype(int) - wanted_rgb).max(axis=2)[both] < 40).mean() > 0.9
+
+
+def test_depth_of_a_camera_beside_is_registered_to_colour() -> None:
+    colour, beside = TARGET, Camera.from_degrees(120, 90, 100.0, 1.2)
+    matrix = colour.to_world(POSE)
+    offset = np.eye(4)
+    offset[:3, :3] = Rotation.from_euler("y", 3, degrees=True).as_matrix()
+    offset[:3, 3] = [0.08, 0.01, -0.02]  # right, down, behind
+    rgb, wanted = rendered(colour, matrix)
+    _, depth = rendered(beside, matrix @ offset)
+    camera = RgbdCamera(Intrinsics.of(colour), Intrinsics.of(beside), offset)
+    got_rgb, got = Alignment(camera, colour)(rgb, depth, np.eye(3))
+    assert np.abs(got_rgb.astype(int) - rgb).max() <= 1
+    both = (got > 0) & (wanted > 0)
+    assert both.mean() > 0.8
+    assert (np.abs(got - wanted)[both] < 0.03 * wanted[both]).mean() > 0.92
+    without = RgbdCamera(Intrinsics.of(colour), Intrinsics.of(beside))
+    _, wrong = Alignment(without, colour)(rgb, depth, np.eye(3))
+    both = (wrong > 0) & (wanted > 0)
+    assert (np.abs(wrong - wanted)[both] < 0.03 * wanted[both]).mean() < 0.85
+
+
+def test_the_units_own_camera_is_left_alone() -> None:
+    rgb, depth = rendered(TARGET, TARGET.to_world(POSE))
+    got = Alignment(RgbdCamera.of(TARGET), TARGET)(rgb, depth, np.eye(3))
+    assert got[0] is rgb and got[1] is depth
+
+
+def test_a_negative_focal_length_turns_the_images_axis() -> None:
+    rgb, depth = rendered(TARGET, TARGET.to_world(POSE))
+    k = Intrinsics.of(TARGET)
+    flipped = Intrinsics(k.width, k.height, k.fx, -k.fy, k.cx, k.height - 1 - k.cy)
+    got = Alignment(RgbdCamera(flipped), TARGET)(rgb[::-1].copy(), depth[::-1].copy(), np.eye(3))
+    assert np.abs(got[0].astype(int) - rgb).max() <= 1
+    np.testing.assert_allclose(got[1], depth, rtol=1e-6)
+
+
+def test_distortion_is_taken_out() -> None:
+    k = Intrinsics(80, 80, 60.0, 60.0, 39.5, 39.5, (-0.2, 0.05, 0.001, -0.002, 0.0))
+    depth = np.tile(np.arange(1, 81, dtype=np.float32), (80, 1))  # tells the column it came from
+    rgb = np.zeros((80, 80, 3), np.uint8)
+    _, got = Alignment(RgbdCamera(k), TARGET)(rgb, depth, np.eye(3))
+    ideal = Intrinsics.of(TARGET)
+    u, v = np.meshgrid(np.arange(64), np.arange(64))
+    rays = np.stack([(u - ideal.cx) / ideal.fx, (v - ideal.cy) / ideal.fy, np.ones(u.shape)], axis=-1)
+    points, _ = cv2.projectPoints(
+        rays.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), k.matrix, np.array(k.distortion)
+    )
+    x, y = points.reshape(64, 64, 2).transpose(2, 0, 1)
+    inside = (x > 0) & (x < 79) & (y > 0) & (y < 79)
+    assert inside.mean() > 0.5
+    assert np.abs(got - 1 - x)[inside].max() <= 0.51
+
+
+@given(
+    x=st.floats(-50, 50),
+    y=st.floats(-50, 50),
+    theta=st.floats(-3.1, 3.1),
+    height=st.floats(0.1, 4.0),
+    pitch=st.floats(-1.3, 1.3),
+    roll=st.floats(-3.1, 3.1),
+    floor=st.floats(-5, 5),
+)
+def test_placement_is_the_inverse_of_the_cameras_transform(
+    x: float, y: float, theta: float, height: float, pitch: float, roll: float, floor: float
+) -> None:
+    camera = Camera(64, 64, 1.5, height, pitch, roll)
+    place = Placement.of(camera.to_world(Pose(x, y, theta), floor), floor)
+    np.testing.assert_allclose(
+        [*place.pose, place.mount_height, place.pitch, place.roll],
+        [x, y, theta, height, pitch, roll],
+        atol=1e-9,
+    )
+
+
+def test_what_is_no_camera_is_refused() -> None:
+    mirrored = np.diag([1.0, -1.0, 1.0, 1.0])
+    with pytest.raises(UserError, match="no scale, no mirror"):
+        Placement.of(mirrored)
+    with pytest.raises(UserError, match="expected 4 x 4 finite"):
+        Placement.of(np.full((4, 4), np.nan))
+    with pytest.raises(UserError, match=r"\|intrinsics.fx\|: got 0.0"):
+        Intrinsics(64, 48, 0.0, 60.0, 31.5, 23.5)
+    with pytest.raises(UserError, match="expected none or 4, 5, 8"):
+        Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5, (0.1,))
+    rgb, depth = np.zeros((64, 64, 3), np.uint8), np.zeros((32, 64), np.float32)
+    with pytest.raises(UserError, match="depth: got 64 x 32 pixels, expected 64 x 64"):
+        Alignment(RgbdCamera.of(TARGET), TARGET)(rgb, depth, np.eye(3))

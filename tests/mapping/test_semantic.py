@@ -1,0 +1,229 @@
+"""The semantic mapper: what it makes of frames, and what it refuses."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from imagination.errors import UserError
+from imagination.geometry.camera import Camera
+from imagination.geometry.grid import EgoGrid, Grid
+from imagination.geometry.pose import Pose
+from imagination.geometry.projection import project_depth
+from imagination.geometry.rgbd import Intrinsics, RgbdCamera
+from imagination.mapping.files import LoadedLayer
+from imagination.mapping.mapper import Mapper
+from imagination.mapping.module import Description, Observation, SideBySide, valid_imagination
+from imagination.mapping.registration import MovingAverage
+from imagination.mapping.semantic import Limits, SemanticMapper, around
+from imagination.scenes.renderer import Renderer
+from tests.modules import CAMERA, EGO, Toy
+from tests.rooms import tiny_room
+
+POSES = [Pose(0.6, -0.9, 2.2), Pose(0.0, -0.5, 0.3), Pose(0.4, 0.6, -1.5)]
+
+
+def frames(camera: Camera = CAMERA, poses: list[Pose] = POSES) -> list[tuple[np.ndarray, np.ndarray, Pose]]:
+    scene = tiny_room()
+    renderer = Renderer(scene.mesh, scene.lighting)
+    images = [renderer.render(camera, camera.to_world(pose)) for pose in poses]
+    return [(image.rgb, image.depth, pose) for image, pose in zip(images, poses, strict=True)]
+
+
+def test_it_registers_what_the_units_say_as_the_evaluation_does() -> None:
+    """The same views through the parts that the evaluation uses, one by one."""
+    toy, grid = Toy("chair", "bed"), Grid.centred(9.0, 0.12)
+    mapper = SemanticMapper(toy, grid=grid)
+    plain = Mapper(grid, EGO, ["chair", "bed"], MovingAverage(0.9))
+    for rgb, depth, pose in frames():
+        update = mapper.update(rgb, depth, pose)
+        view = project_depth(depth, CAMERA, EGO, toy.description.obstacles)
+        said = toy(Observation(rgb, depth, view.occupied, view.seen, CAMERA.mount_height))
+        statement = valid_imagination(said, view.seen[None], 0.5, 0.62, 0.12)
+        plain.register(statement.values, statement.mask, pose)
+        np.testing.assert_array_equal(update.probabilities, said)
+        assert update.outside == 0
+    maps = mapper.maps
+    np.testing.assert_array_equal(maps.written, plain.written)
+    np.testing.assert_allclose(maps.probabilities, plain.probabilities, atol=1e-6)
+    assert (maps.probabilities[0] > 0.5).sum() > 20
+
+
+def test_occupancy_shows_the_rooms_walls() -> None:
+    mapper = SemanticMapper(Toy())
+    turned = [Pose(0.3, -0.6, angle) for angle in np.linspace(-3, 3, 9)]
+    for frame in frames(poses=turned):
+        mapper.update(*frame)
+    layer, grid = mapper.maps.occupancy_layer(), mapper.maps.grid
+    walls = [(x, -1.97) for x in np.arange(-1.5, 0.8, 0.1)]  # the lower wall, to which nothing stands
+    near = [
+        (layer[r - 1 : r + 2, c - 1 : c + 2] == 100).any()
+        for r, c in (grid.to_cells(np.array(point)).tolist() for point in walls)
+    ]
+    assert np.mean(near) > 0.9
+    row, column = grid.to_cells(np.array([-0.3, -1.2])).tolist()
+    assert layer[row, column] == 0
+    outside = grid.to_cells(np.array([0.0, -3.0])).tolist()
+    assert layer[tuple(outside)] == -1
+
+
+def test_a_pose_in_six_degrees_of_freedom_is_the_same() -> None:
+    ours, theirs = SemanticMapper(Toy()), SemanticMapper(Toy())
+    for rgb, depth, pose in frames():
+        ours.update(rgb, depth, pose)
+        theirs.update(rgb, depth, CAMERA.to_world(pose))
+    np.testing.assert_allclose(ours.maps.probabilities, theirs.maps.probabilities, atol=1e-6)
+
+
+def test_another_floor_height_changes_nothing() -> None:
+    ours, theirs = SemanticMapper(Toy()), SemanticMapper(Toy(), floor_height=-3.5)
+    for rgb, depth, pose in frames():
+        ours.update(rgb, depth, pose)
+        theirs.update(rgb, depth, CAMERA.to_world(pose, -3.5))
+    np.testing.assert_allclose(ours.maps.occupancy, theirs.maps.occupancy, atol=1e-6)
+
+
+def test_a_tilted_camera_gives_nearly_the_same_map() -> None:
+    tilted = Camera.from_degrees(120, 120, 105.0, 1.4, pitch=12.0)
+    mapper, plain = SemanticMapper(Toy(), RgbdCamera.of(tilted)), SemanticMapper(Toy())
+    with pytest.warns(UserWarning) as told:
+        for frame in frames(tilted):
+            mapper.update(*frame)
+    texts = " ".join(str(each.message) for each in told)
+    assert "mount_height: the robot's camera is at 1.40 m, the units' at 1.25" in texts
+    assert "pitch: the robot's camera is at 12.00 degrees, the units' at 0.00" in texts
+    assert len(told) == 2  # once, not for every frame
+    for frame in frames():
+        plain.update(*frame)
+    one, other = mapper.maps.occupancy_layer() == 0, plain.maps.occupancy_layer() == 0
+    assert (one & other).sum() / (one | other).sum() > 0.75
+
+
+def test_a_map_of_fixed_size_counts_what_it_loses_and_a_growing_one_loses_nothing() -> None:
+    fixed, growing = SemanticMapper(Toy(), grid=Grid.centred(2.0, 0.12)), SemanticMapper(Toy())
+    lost = 0
+    for frame in frames():
+        lost += fixed.update(*frame).outside
+        assert growing.update(*frame).outside == 0
+    assert lost > 100
+    assert growing.maps.known.sum() > fixed.maps.known.sum()
+    at = growing.maps.grid.to_cells(fixed.maps.grid.to_points(np.argwhere(fixed.maps.known)))
+    assert growing.maps.known[tuple(at.T)].mean() > 0.8  # cells lie elsewhere
+
+
+def test_it_starts_from_another_robots_map() -> None:
+    layer = np.zeros((60, 60), np.int8)
+    layer[:10], layer[30, 20:40] = -1, 100
+    grid = Grid(0.1, 60, 60, (20.0, 20.0))
+    mapper = SemanticMapper(Toy(), start=LoadedLayer(grid, layer))
+    maps = mapper.maps
+    wall = maps.grid.to_cells(grid.to_points(np.argwhere(layer == 100)))
+    assert (maps.occupancy_layer()[tuple(wall.T)] == 100).all()
+    assert maps.written.sum() == 0
+    before = (maps.occupancy_layer() == 0).sum()
+    assert before == pytest.approx((layer == 0).sum() * (0.1 / 0.12) ** 2, rel=0.1)
+    for frame in frames():
+        mapper.update(*frame)
+    assert (mapper.maps.occupancy_layer() == 0).sum() > before + 100
+
+
+def test_cameras_too_far_from_the_units_are_refused() -> None:
+    narrow = RgbdCamera.of(Camera.from_degrees(48, 48, 45.0, 1.25))
+    with pytest.raises(
+        UserError, match=r"robot's camera has 45.0 degrees, the units' 90.0; expected at most 40"
+    ):
+        SemanticMapper(Toy(), narrow)
+    with pytest.warns(UserWarning, match="what only one of them sees is left out"):
+        SemanticMapper(Toy(), narrow, limits=Limits(field_of_view=50.0))
+    with pytest.warns(UserWarning, match="the image is magnified"):
+        SemanticMapper(Toy(), RgbdCamera.of(Camera.from_degrees(24, 24, 90.0, 1.25)))
+    rgb, depth, pose = frames()[0]
+    mapper = SemanticMapper(Toy())
+    for camera, told in (
+        (Camera.from_degrees(48, 48, 90.0, 2.5), "mount_height: the robot's camera is at 2.50 m"),
+        (
+            Camera.from_degrees(48, 48, 90.0, 1.25, pitch=60.0),
+            "pitch: the robot's camera is at 60.00 degrees",
+        ),
+        (
+            Camera.from_degrees(48, 48, 90.0, 1.25, roll=-90.0),
+            "roll: the robot's camera is at -90.00 degrees",
+        ),
+    ):
+        with pytest.raises(UserError, match=told):
+            mapper.update(rgb, depth, camera.to_world(pose))
+
+
+def test_bad_frames_leave_the_map_as_it_was() -> None:
+    mapper = SemanticMapper(Toy())
+    with pytest.raises(UserError, match="got no frame yet"):
+        _ = mapper.maps
+    rgb, depth, pose = frames()[0]
+    mapper.update(rgb, depth, pose)
+    before = mapper.maps.probabilities.copy()
+    holes = depth.copy()
+    holes[3, 4] = np.nan
+    for bad, told in (
+        ((rgb, holes, pose), "depth: got nan"),
+        ((rgb[:40], depth, pose), "rgb: got 48 x 40 pixels"),
+        ((rgb, depth, Pose(np.inf, 0.0, 0.0)), "expected 4 x 4 finite"),
+        ((rgb, depth, Pose(1e7, 0.0, 0.0)), "choose a coarser resolution"),
+    ):
+        with warnings.catch_warnings(), pytest.raises(UserError, match=told):
+            warnings.simplefilter("ignore")
+            mapper.update(*bad)
+        np.testing.assert_array_equal(mapper.maps.probabilities, before)
+
+
+def test_dashes_of_a_wall_are_not_called_free() -> None:
+    occupied = np.zeros((40, 40), np.bool_)
+    occupied[10, 5:30:4] = True  # every 0.4 m
+    inside = around(occupied, 0.1)
+    assert inside[9:12, 5:30].all() and not inside[13:].any() and not inside[:, 32:].any()
+    occupied = np.zeros((40, 40), np.bool_)
+    occupied[10, [5, 14]] = True  # a door of 0.8 m
+    assert not around(occupied, 0.1)[10, 7:13].any()
+
+
+def test_units_side_by_side() -> None:
+    both = SideBySide([Toy("chair"), Toy("bed")])
+    assert both.description.categories == ("chair", "bed")
+    rgb, depth, pose = frames()[0]
+    update = SemanticMapper(both).update(rgb, depth, pose)
+    assert update.probabilities.shape == (2, 31, 31)
+    with pytest.raises(UserError, match="got the categories .*'chair', 'chair'"):
+        SideBySide([Toy("chair"), Toy("chair")])
+    with pytest.raises(UserError, match="got the ego"):
+        SideBySide([Toy("chair"), Toy("bed", ego=EgoGrid(0.12, 33))])
+
+
+def test_descriptions_come_back_from_text_and_strangers_are_refused() -> None:
+    known = Toy("chair", "bed").description
+    assert Description.from_json(known.to_json(more=1), "x") == known
+    for change, told in (
+        (('"version": 1', '"version": 2'), "got version 2"),
+        (('"cells": 31', '"cells": 9000000'), "ego.cells: got 9000000"),
+        (('"width": 48', '"width": 4000000'), "camera.width: got 4000000"),
+        (('"ego"', '"egg"'), "its description cannot be read"),
+    ):
+        with pytest.raises(UserError, match=told):
+            Description.from_json(known.to_json().replace(*change), "x")
+    with pytest.raises(UserError, match="its description cannot be read"):
+        Description.from_json("[1", "x")
+
+
+def test_intrinsics_of_a_real_sensor() -> None:
+    """640 x 480 with an off-centre axis: the room's floor appears where it is."""
+    k = Intrinsics(640, 480, 330.0, 332.0, 315.0, 236.0)
+    ideal = Camera(640, 480, 2 * float(np.arctan(320 / 330.0)), 1.25)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        mapper, plain = SemanticMapper(Toy(), RgbdCamera(k)), SemanticMapper(Toy())
+        for rgb, depth, pose in frames(ideal):
+            mapper.update(rgb, depth, pose)
+        for frame in frames():
+            plain.update(*frame)
+    one, other = mapper.maps.known, plain.maps.known
+    assert one.shape == other.shape
+    assert (one & other).sum() / one.sum() > 0.9  # it sees less of what is near: its field of view is lower
+    assert (one & other).sum() / other.sum() > 0.6

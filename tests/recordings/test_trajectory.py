@@ -1,0 +1,108 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from imagination.errors import UserError
+from imagination.recordings.trajectory import Trajectory, Transforms, interpolate, matrix_of
+
+angles = st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3)
+
+
+def rigid(place: list[float], turn: Rotation) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn.as_matrix(), place
+    return matrix
+
+
+@given(one=angles, other=angles, share=st.floats(0, 1))
+def test_interpolation_is_scipys(one: list[float], other: list[float], share: float) -> None:
+    ends = Rotation.from_rotvec([one, other])
+    if (ends[0].inv() * ends[1]).magnitude() > np.pi - 1e-3:
+        return  # half a turn: both ways round are as short
+    got = interpolate(rigid([0, 1, 2], ends[0]), rigid([4, 1, -2], ends[1]), share)
+    np.testing.assert_allclose(got[:3, :3], Slerp([0, 1], ends)(share).as_matrix(), atol=1e-6)
+    np.testing.assert_allclose(got[:3, 3], [4 * share, 1, 2 - 4 * share], atol=1e-9)
+
+
+def test_half_a_turn_is_a_rotation_all_the_way() -> None:
+    for axis in np.eye(3):
+        got = interpolate(np.eye(4), rigid([0, 0, 0], Rotation.from_rotvec(np.pi * axis)), 0.5)[:3, :3]
+        np.testing.assert_allclose(got @ got.T, np.eye(3), atol=1e-9)
+        np.testing.assert_allclose(np.linalg.det(got), 1)
+        np.testing.assert_allclose(got @ axis, axis, atol=1e-9)
+
+
+@given(
+    quaternion=st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
+        lambda q: 0.6 < np.linalg.norm(q) < 1.9
+    )
+)
+def test_matrices_are_scipys(quaternion: list[float]) -> None:
+    np.testing.assert_allclose(
+        matrix_of((1, 2, 3), quaternion), rigid([1, 2, 3], Rotation.from_quat(quaternion)), atol=1e-9
+    )
+
+
+def test_poses_that_are_none() -> None:
+    for place, turn in (
+        ((0, 0, np.nan), (0, 0, 0, 1)),
+        ((0, 0, 0), (0, 0, 0, 0)),
+        ((0, 0, 0), (np.inf, 0, 0, 1)),
+    ):
+        with pytest.raises(UserError, match="expected metres and a unit quaternion"):
+            matrix_of(place, turn)
+
+
+def shifted(x: float) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[0, 3] = x
+    return matrix
+
+
+def test_gaps_ends_late_and_repeated_entries() -> None:
+    trajectory = Trajectory(max_gap=1.0)
+    for second in (0, 1, 3, 2.5, 1):
+        trajectory.add(round(second * 1e9), shifted(second))
+    assert trajectory.repeated == 1 and len(trajectory) == 4
+
+    def x(second: float) -> float | None:
+        found = trajectory.at(round(second * 1e9))
+        return None if found is None else float(found[0, 3])
+
+    assert [x(0), x(0.25), x(1), x(2.75), x(3)] == pytest.approx([0, 0.25, 1, 2.75, 3])
+    assert [x(-0.1), x(1.5), x(3.1)] == [None, None, None]  # before, in a gap of 1.5 s, after
+
+
+def test_only_the_recent_past_is_kept() -> None:
+    trajectory = Trajectory(max_gap=1.0, keep=5.0)
+    for second in range(1000):
+        trajectory.add(second * 10**9, shifted(second))
+    assert len(trajectory) == 6
+
+
+def test_a_tree_of_frames() -> None:
+    transforms = Transforms(max_gap=1.0)
+    turn = rigid([1.0, 0, 0], Rotation.from_euler("z", 90, degrees=True))
+    transforms.add("base", "/camera", 0, turn, fixed=True)
+    for second in (0, 1):
+        transforms.add("odom", "base", second * 10**9, shifted(2.0 * second), fixed=False)
+        transforms.add("/map", "odom", second * 10**9, shifted(10.0), fixed=False)
+    found = transforms.at("map", "camera", 500_000_000)
+    assert found is not None
+    np.testing.assert_allclose(found @ [1, 0, 0, 1], [12, 1, 0, 1])
+    assert transforms.ancestors("camera") == ["camera", "base", "odom", "map"]
+    assert transforms.at("map", "camera", 2 * 10**9) is None
+    with pytest.raises(UserError, match="its frames are camera in base in odom in map"):
+        transforms.at("earth", "camera", 0)
+    with pytest.raises(UserError, match="frame 'base' is in 'odom' and in 'map'"):
+        transforms.add("map", "base", 0, np.eye(4), fixed=True)
+    with pytest.raises(UserError, match="its own ancestor"):
+        transforms.add("camera", "map", 0, np.eye(4), fixed=True)
+    transforms.add("base", "depth", 0, shifted(1.0), fixed=True)
+    np.testing.assert_allclose(transforms.between("depth", "camera") @ [0, 1, 0, 1], [1, 0, 0, 1], atol=1e-12)
+    with pytest.raises(UserError, match="move against each other"):
+        transforms.between("depth", "map")
+    with pytest.raises(UserError, match="nothing joins"):
+        transforms.between("depth", "lidar")

@@ -1,0 +1,153 @@
+"""Sweeps: what was swept is found, members that failed or are missing are told, the rest is shown."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+from imagination.errors import UserError
+from imagination.report import read
+from imagination.reporting.multirun import Multirun, grid
+from tests.reporting.folders import make_folder
+
+SWEPT = ["+experiment=made", "kernels.imaginable=0.6,1.0,1.4", "model.alpha_max=10,30"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six complete members of a sweep over two keys."""
+    folder = tmp_path_factory.mktemp("sweep") / "multirun"
+    folder.mkdir()
+    sweeper = {"_target_": "hydra._internal.core_plugins.basic_sweeper.BasicSweeper", "params": None}
+    asked = {"hydra": {"sweeper": sweeper, "overrides": {"task": SWEPT}}}
+    (folder / "multirun.yaml").write_text(yaml.safe_dump(asked))
+    number = 0
+    for delta in ("0.6", "1.0", "1.4"):
+        for alpha in ("10", "30"):
+            make_folder(
+                folder / str(number), drawn=number, kernels={"imaginable": float(delta)}, paths={"run": str(number)},
+                data={"scenes": {"_target_": "tests.sources.Rooms"}, "delta": float(delta)},
+                model={"alpha_max": int(alpha)},
+                choices=["+experiment=made", f"kernels.imaginable={delta}", f"model.alpha_max={alpha}"],
+            )  # fmt: skip
+            number += 1
+    return folder
+
+
+@pytest.fixture
+def sweep(made: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(made, tmp_path / "multirun")
+
+
+def test_hydras_grid_gives_the_members(sweep: Path) -> None:
+    asked = grid(sweep / "multirun.yaml")
+    assert len(asked) == 6
+    assert asked[3] == {"kernels.imaginable": "1.0", "model.alpha_max": "30"}
+    assert grid(sweep / "nothing.yaml") == []
+
+
+def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
+    found = Multirun(sweep)
+    assert list(found.swept) == ["kernels.imaginable", "model.alpha_max"]
+    assert [found.values(member) for member in found.members] == grid(sweep / "multirun.yaml")
+    content = read(sweep)
+    assert content.problems == []
+    (table,) = [table for section in content.sections for table in section.layouts]
+    assert [len(lines) for _, lines in table.blocks] == [6, 6, 6, 6]
+    assert table.blocks[0][1][0].name == "kernels.imaginable=0.6, model.alpha_max=10"
+    first = read(sweep / "0").sections[0].layouts[0].blocks[0][1][0].cells[0]
+    assert first and table.blocks[0][1][0].cells[0] == first._replace(
+        strong=table.blocks[0][1][0].cells[0].strong
+    )  # type: ignore[union-attr]
+    stems = [drawing.stem for section in content.sections for drawing in section.drawings]
+    keys = "kernels_imaginable", "model_alpha_max"
+    assert stems == [f"ablation_{key}_{of}" for key in keys for of in ("chair", "bed")]
+
+
+def test_what_was_swept_is_found_in_configs_that_name_no_choices(sweep: Path) -> None:
+    """As evaluations do; a key that only repeats another one is not named again."""
+    (sweep / "multirun.yaml").unlink()
+    for path in sweep.glob("*/config.yaml"):
+        config = yaml.safe_load(path.read_text())
+        path.write_text(yaml.safe_dump({**config, "choices": []}))
+    found = Multirun(sweep)
+    assert sorted(found.swept) == ["data.delta", "model.alpha_max"] or sorted(found.swept) == [
+        "kernels.imaginable",
+        "model.alpha_max",
+    ]
+    assert found.values(found.members[5]) in (
+        {"data.delta": "1.4", "model.alpha_max": "30"}, {"kernels.imaginable": "1.4", "model.alpha_max": "30"}
+    )  # fmt: skip
+
+
+def test_failed_and_missing_members_are_told_and_the_rest_is_shown(sweep: Path) -> None:
+    shutil.rmtree(sweep / "5")
+    shutil.rmtree(sweep / "1" / "tables")
+    shutil.rmtree(sweep / "1" / "maps")
+    (sweep / "1" / "run.log").write_text(
+        "INFO\nERROR root: The run failed\nTraceback …\nRuntimeError: out of luck\n"
+    )
+    (sweep / "2" / "config.yaml").write_text("a: [")
+    for name in ("tables", "maps"):
+        shutil.rmtree(sweep / "3" / name)
+    content = read(sweep)
+    told = "\n".join(content.problems)
+    assert (
+        "member 1 (kernels.imaginable=0.6, model.alpha_max=30) is failed: RuntimeError: out of luck" in told
+    )
+    assert "member 2 (kernels.imaginable=1.0, model.alpha_max=10) is failed: config" in told
+    assert "member 3" in told and "unfinished" in told
+    assert "member 5 (kernels.imaginable=1.4, model.alpha_max=30) is missing" in told
+    (table,) = [table for section in content.sections for table in section.layouts]
+    assert [line.name for line in table.blocks[0][1]] == [
+        "kernels.imaginable=0.6, model.alpha_max=10", "kernels.imaginable=1.4, model.alpha_max=10",
+    ]  # fmt: skip
+    states = [row["state"] for section in content.sections for plain in section.plain for row in plain.rows]
+    assert states == ["complete", "failed", "failed", "unfinished", "complete", "missing"]
+
+
+def test_a_sweep_over_cell_widths_is_drawn_over_all_of_each(tmp_path: Path) -> None:
+    folder = tmp_path / "multirun"
+    for number, width in enumerate((3.0, 2.0)):
+        member = make_folder(folder / str(number), choices=[f"scale.cell_widths=[{width}]"])
+        table = member / "tables" / "runs.csv"
+        head, *lines = table.read_text().splitlines()
+        table.write_text("\n".join([head, *(line for line in lines if f",{width:g},test" in line)]) + "\n")
+        config = yaml.safe_load((member / "config.yaml").read_text())
+        config["evaluation"]["cell_widths"] = [width]
+        (member / "config.yaml").write_text(yaml.safe_dump(config))
+    content = read(folder)
+    assert content.problems == []
+    (drawing, _) = content.sections[1].drawings
+    axes = drawing.draw().axes
+    assert [axis.get_title() for axis in axes] == ["all cell widths together"]
+    assert axes[0].get_xlabel() == "scale.cell_widths"
+
+
+def test_a_sweep_that_left_nothing_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "0").mkdir()
+    with pytest.raises(UserError, match="none of the 1 members"):
+        read(tmp_path)
+
+
+def test_the_sweeps_own_list_of_members_is_believed(sweep: Path) -> None:
+    """As imagination.sweep writes it: a failed member has its problem there, one that never began has no folder."""
+    (sweep / "multirun.yaml").unlink()
+    shutil.rmtree(sweep / "4")
+    lines = ["folder,key,state,score,overrides,problem"]
+    for number, (delta, alpha) in enumerate((d, a) for d in ("0.6", "1.0", "1.4") for a in ("10", "30")):
+        state, problem = {2: ("failed", "out of luck"), 4: ("missing", ""), 6: ("missing", "")}.get(
+            number, ("done", "")
+        )
+        lines.append(
+            f"{number},hash,{state},,+experiment=made kernels.imaginable={delta} model.alpha_max={alpha},{problem}"
+        )
+    (sweep / "members.csv").write_text("\n".join(lines) + "\n")
+    told = read(sweep).problems
+    assert told[0] == "member 2 (kernels.imaginable=1.0, model.alpha_max=10) is failed: out of luck"
+    assert told[1].startswith("member 4 (kernels.imaginable=1.4, model.alpha_max=10) is missing")
+    assert len(told) == 2
+    (sweep / "members.csv").write_text("folder,state\nx,done\n")
+    with pytest.raises(UserError, match="members.csv: is damaged"):
+        read(sweep)

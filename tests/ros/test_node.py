@@ -1,0 +1,195 @@
+"""The mapping node without any transport: messages in, maps out, what is bad refused one by one."""
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imagination.errors import UserError
+from imagination.geometry.rgbd import RgbdCamera
+from imagination.mapping.semantic import SemanticMapper
+from tests.conftest import ROOT
+from tests.modules import CAMERA, Toy
+from tests.robot import COLOUR, DEPTH, ROS2, Messages, Taken, corridor_path, drive, spoken
+from tests.rooms import tiny_room
+
+sys.path.append(str(ROOT / "plugins" / "ros"))
+
+from imagination_ros.codec import GRID, MARKERS, Codec  # noqa: E402
+from imagination_ros.node import MappingNode  # noqa: E402
+
+ROLES = {
+    COLOUR: "colour",
+    DEPTH: "depth",
+    "/camera/color/camera_info": "colour_info",
+    "/camera/depth/camera_info": "depth_info",
+    "/tf": "tf",
+    "/tf_static": "tf_static",
+    "/odom": "odometry",
+}
+MESSAGES = Messages(ROS2)
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Taken]:
+    scene = tiny_room()
+    return list(drive(scene, CAMERA, corridor_path(scene.free_space, 10)))
+
+
+class Listener:
+    """What others hear of the node; the messages have been bytes on the way."""
+
+    def __init__(self) -> None:
+        self.codec = Codec("ros2_humble", 10**8)
+        self.heard: dict[str, list[Any]] = {}
+
+    def publish(self, name: str, kind: str, message: Any) -> None:
+        assert kind == (MARKERS if name == "objects" else GRID)
+        self.heard.setdefault(name, []).append(self.codec.decode(self.codec.encode(message, kind), kind))
+
+
+def make_mapper(camera: RgbdCamera) -> SemanticMapper:
+    return SemanticMapper(Toy("chair", "bed"), camera)
+
+
+def make_node(listener: Listener, **settings: Any) -> MappingNode:
+    return MappingNode(
+        make_mapper, listener.publish, listener.codec, **({"world": "map", "period": 0.0} | settings)
+    )
+
+
+def tell(node: MappingNode, taken: Taken, first: bool = True, odometry: bool = False) -> None:
+    for topic, _, message in spoken(taken, CAMERA, MESSAGES, first, odometry):
+        node.receive(ROLES[topic], message)
+
+
+def test_it_maps_as_the_mapper_does_and_tells_of_it(frames: list[Taken]) -> None:
+    listener = Listener()
+    node = make_node(listener)
+    plain = SemanticMapper(Toy("chair", "bed"))
+    for number, taken in enumerate(frames):
+        tell(node, taken, not number)
+        assert node.step(1.0)
+        plain.update(taken.rgb, taken.depth, taken.pose)
+    assert node.mapper is not None and node.counts == {"mapped": 10}
+    maps = plain.maps
+    np.testing.assert_allclose(node.mapper.maps.probabilities, maps.probabilities, atol=1e-6)
+    assert {name: len(messages) for name, messages in listener.heard.items()} == dict.fromkeys(
+        ("occupancy", "chair", "bed", "objects"), 10
+    )
+    for name, layer in (("occupancy", maps.occupancy_layer()), ("bed", maps.category_layer("bed"))):
+        grid = listener.heard[name][-1]
+        assert (grid.info.width, grid.info.height) == (maps.grid.columns, maps.grid.rows)
+        assert grid.info.resolution == pytest.approx(0.12) and grid.header.frame_id == "map"
+        assert (grid.info.origin.position.x, grid.info.origin.position.y) == pytest.approx(maps.grid.origin)
+        np.testing.assert_array_equal(grid.data.reshape(layer.shape)[::-1], layer)
+    markers = listener.heard["objects"][-1].markers
+    objects = maps.objects()
+    assert len(markers) == 1 + 2 * len(objects) > 1 and markers[0].action == 3
+    assert [point.x for point in markers[1].points][:-1] == pytest.approx(objects[0].outline[:, 0].tolist())
+    assert markers[2].text == f"{objects[0].category} {objects[0].confidence:.2f}"
+
+
+def test_odometry_and_a_mount_instead_of_tf(frames: list[Taken]) -> None:
+    mount = {"frame": "base_link", "height": CAMERA.mount_height, "pitch": 0.0}
+    node = make_node(Listener(), world="odom", mount=mount)
+    for taken in frames:
+        tell(node, taken, first=False, odometry=True)
+        assert node.step(1.0)
+    assert node.counts == {"mapped": 10}
+
+
+def test_the_latest_wins_and_the_others_are_counted(frames: list[Taken]) -> None:
+    node = make_node(Listener())
+    for number, taken in enumerate(frames):
+        tell(node, taken, not number)
+    assert node.step(1.0)
+    assert not node.step(0.01)
+    assert node.counts == {"mapped": 1, "dropped: a later frame came": 9}
+    tell(node, frames[-1], False)
+    tell(node, frames[3], False)
+    assert not node.step(0.01) and not node.step(0.01)
+    assert node.counts["time stamp repeated or out of order"] == 1
+    assert "1 frames mapped" in node.summary() and "x dropped: a later frame came" in node.summary()
+
+
+def test_an_image_waits_for_its_pose_but_not_for_ever(frames: list[Taken]) -> None:
+    node = make_node(Listener(), patience=0.05)
+    late = [message for message in spoken(frames[0], CAMERA, MESSAGES, True) if message[0] == "/tf"]
+    for topic, _, message in spoken(frames[0], CAMERA, MESSAGES, True):
+        if topic != "/tf":
+            node.receive(ROLES[topic], message)
+    assert not node.step(0.0)
+    for topic, _, message in late:
+        node.receive(ROLES[topic], message)
+    assert node.step(0.0)
+    for topic, _, message in spoken(frames[1], CAMERA, MESSAGES, False):
+        if topic != "/tf":
+            node.receive(ROLES[topic], message)
+    assert not node.step(0.1) and not node.step(0.0)
+    assert node.counts["no pose at its time"] == 1
+
+
+def test_bad_messages_are_refused_one_by_one(frames: list[Taken]) -> None:
+    node, codec = make_node(Listener()), Codec("ros2_humble", 20_000)
+    tell(node, frames[0])
+    assert node.step(1.0)
+    wrong = MESSAGES.image(frames[1].stamp, "camera_optical", "rgb8", frames[1].rgb)
+    wrong.data = wrong.data[:100]
+    node.receive("colour", wrong)
+    node.receive("depth", MESSAGES.image(frames[1].stamp, "camera_optical", "32FC1", frames[1].depth))
+    for topic, _, message in spoken(frames[1], CAMERA, MESSAGES, False)[:2]:
+        node.receive(ROLES[topic], message)
+    assert not node.step(0.1)
+    assert node.counts["refused: frame"] == 1
+    node.receive("tf", MESSAGES.transform(frames[2].stamp, "odom", "base_link", np.eye(4)).transforms[0])
+    node.receive("colour_info", wrong)
+    turn = MESSAGES.transform(frames[2].stamp, "odom", "base_link", np.eye(4))
+    turn.transforms[0].transform.rotation.w = float("nan")
+    node.receive("tf", turn)
+    assert node.counts["refused: tf"] == 2 and node.counts["refused: colour_info"] == 1
+    for data, told in (
+        (bytes(30_000), "got 30000 bytes, expected at most 20000"),
+        (b"\x00\x01\x00\x00\xff", "no such message"),
+    ):
+        with pytest.raises(UserError, match=told):
+            codec.decode(data, "sensor_msgs/msg/Image")
+    node.receive("colour", UserError("too large"))
+    tell(node, frames[3], False)
+    assert node.step(1.0)
+    assert node.counts["mapped"] == 2
+
+
+def test_random_bytes_never_get_through() -> None:
+    """Whatever bytes do to the decoder, it is one UserError."""
+    codec, rng = Codec("ros2_humble", 10**6), np.random.default_rng(0)
+    good = bytearray(
+        codec.encode(
+            MESSAGES.image(0, "camera", "rgb8", np.zeros((4, 4, 3), np.uint8)), "sensor_msgs/msg/Image"
+        )
+    )
+    refused = 0
+    for _ in range(300):
+        bad = bytearray(good)
+        for place in rng.integers(4, len(good), 6):
+            bad[place] = rng.integers(256)
+        try:
+            codec.decode(bytes(bad[: rng.integers(5, len(bad) + 1)]), "sensor_msgs/msg/Image")
+        except UserError:
+            refused += 1
+    assert refused > 100
+
+
+def test_other_distributions(frames: list[Taken]) -> None:
+    for name in ("ros2_foxy", "ros2_jazzy"):
+        codec = Codec(name, 10**6)
+        objects = SemanticMapper(Toy())
+        objects.update(frames[0].rgb, frames[0].depth, frames[0].pose)
+        found = objects.maps.objects(0.3)
+        assert found
+        markers = codec.markers(found, {"chair": (255, 0, 0)}, "map", 5 * 10**9)
+        again = codec.decode(codec.encode(markers, MARKERS), MARKERS)
+        assert len(again.markers) == 1 + 2 * len(found) and again.markers[1].header.stamp.sec == 5
+    with pytest.raises(UserError, match="transport.distribution: got 'ros3'"):
+        Codec("ros3", 10)

@@ -1,0 +1,112 @@
+"""`imagination.serve` and a robot in another process, with Zenoh between them."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imagination.checkpoints import Checkpoint
+from imagination.deployment.export import export
+from imagination.deployment.load import load
+from imagination.mapping.files import load_maps
+from imagination.mapping.semantic import SemanticMapper
+from tests.conftest import ROOT, Command
+from tests.deployment.checkpoints import make_checkpoint, samples
+from tests.modules import CAMERA
+from tests.robot import ROS2, corridor_path, drive
+from tests.rooms import tiny_room
+
+pytest.importorskip("zenoh")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def unit(tmp_path: Path) -> Path:
+    checkpoint = Checkpoint.read(make_checkpoint(tmp_path / "chair.ckpt"))
+    export([checkpoint], tmp_path / "chair.onnx", "onnx", "float32", samples(1))
+    return tmp_path / "chair.onnx"
+
+
+def test_a_robot_in_another_process(tmp_path: Path, unit: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    arguments = [
+        "server=zenoh",
+        f"unit={unit}",
+        "server.topics.depth=/camera/depth/image_rect_raw",
+        "server.topics.depth_info=/camera/depth/camera_info",
+        "server.period=0.01",
+        f"server.transport.listen=[{endpoint}]",
+        "server.transport.connect=[]",
+        "server.transport.max_bytes=50000",
+    ]
+    with open(tmp_path / "told", "w") as told:
+        command = [sys.executable, "-m", "imagination.serve", *arguments]
+        server = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=told)
+        try:
+            while "Listening" not in (tmp_path / "told").read_text():
+                assert server.poll() is None, (tmp_path / "told").read_text()
+                time.sleep(0.1)
+            robot = [sys.executable, "-m", "tests.ros.robot_process", endpoint, str(tmp_path)]
+            subprocess.run(robot, cwd=ROOT, env=environment, check=True, timeout=180)
+            server.send_signal(signal.SIGINT)
+            assert server.wait(60) == 0
+        finally:
+            server.kill()
+    text = (tmp_path / "told").read_text()
+    assert "Traceback" not in text
+    assert "10 frames mapped" in text
+    assert "10 x refused: colour" in text and "10 x refused: tf" in text
+    assert "bytes that are no such message" in text and "got 100000 bytes, expected at most 50000" in text
+    maps = load_maps(tmp_path / "outputs" / "serve" / "latest")
+    wanted = SemanticMapper(load(unit))
+    scene = tiny_room()
+    for frame in drive(scene, CAMERA, corridor_path(scene.free_space, 10)):
+        wanted.update(frame.rgb, frame.depth, frame.pose)
+    np.testing.assert_allclose(maps.probabilities, wanted.maps.probabilities, atol=1e-5)
+    grid = ROS2.deserialize_cdr(
+        (tmp_path / "imagination_occupancy").read_bytes(), "nav_msgs/msg/OccupancyGrid"
+    )
+    np.testing.assert_array_equal(
+        grid.data.reshape(grid.info.height, -1)[::-1], wanted.maps.occupancy_layer()
+    )
+    assert (tmp_path / "imagination_chair").is_file() and (tmp_path / "imagination_objects").is_file()
+
+
+def test_an_endpoint_that_is_taken_is_one_message(command: Command, unit: Path) -> None:
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        port = holder.getsockname()[1]
+        done = command("serve", f"unit={unit}", f"server.transport.listen=[tcp/127.0.0.1:{port}]")
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "zenoh: cannot listen on" in done.stderr
+
+
+def test_without_a_plugin_it_says_what_to_put_where(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from imagination import plugins, serve
+
+    monkeypatch.setattr(plugins, "discover", list)
+    with pytest.raises(SystemExit, match="found no plugin that serves; put the folder plugins/ros"):
+        serve.main()
+
+
+def test_without_rclpy_it_says_what_to_install(command: Command, unit: Path) -> None:
+    try:
+        import rclpy  # noqa: F401
+    except ImportError:
+        done = command("serve", "server=rclpy", f"unit={unit}")
+        assert done.returncode == 2 and "install ROS 2 and source its setup.bash" in done.stderr

@@ -1,0 +1,67 @@
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from imagination.errors import UserError
+from imagination.mapping.semantic import SemanticMapper
+from imagination.viewers.preview import Preview
+from imagination.viewers.viewer import NoViewer, Viewer
+from tests.mapping.test_semantic import frames
+from tests.modules import Toy
+
+
+def play(viewer: Viewer, folder: Path, rounds: int = 1) -> SemanticMapper:
+    mapper = SemanticMapper(Toy())
+    viewer.open(folder, mapper)
+    for _ in range(rounds):
+        for number, frame in enumerate(frames()):
+            viewer.show(number * 10**8, mapper.update(*frame))
+    viewer.close()
+    return mapper
+
+
+def test_a_film_as_mp4(tmp_path: Path) -> None:
+    play(Preview("mp4", rate=5.0), tmp_path)
+    film = cv2.VideoCapture(str(tmp_path / "preview.mp4"))
+    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(5.0)
+    pictures = [film.read() for _ in range(4)]
+    assert [found for found, _ in pictures] == [True, True, True, False]
+    assert pictures[0][1].shape == (480, 960, 3)
+    assert np.abs(pictures[0][1].astype(int) - pictures[2][1]).mean() > 2
+
+
+def test_a_film_as_gif_is_thinned_where_it_is_long(tmp_path: Path) -> None:
+    play(Preview("gif", most=4), tmp_path, rounds=3)
+    with Image.open(tmp_path / "preview.gif") as film:
+        assert 2 <= film.n_frames <= 5 and film.size == (960, 480)  # type: ignore[attr-defined]
+
+
+def test_no_frame_no_film(tmp_path: Path) -> None:
+    for viewer in (Preview("mp4"), NoViewer()):
+        viewer.open(tmp_path, SemanticMapper(Toy()))
+        viewer.close()
+        assert isinstance(viewer, Viewer)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(UserError, match="viewer.format: got 'avi', expected one of: gif, mp4"):
+        Preview("avi")
+
+
+def test_a_missing_rerun_says_what_to_install() -> None:
+    try:
+        import rerun  # noqa: F401
+    except ImportError:
+        from imagination.viewers.rerun import Rerun
+
+        with pytest.raises(UserError, match=r"pip install 'imagination\[rerun\]'"):
+            Rerun()
+
+
+def test_rerun_writes_a_file(tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    from imagination.viewers.rerun import Rerun
+
+    play(Rerun("map.rrd"), tmp_path)
+    assert (tmp_path / "map.rrd").stat().st_size > 10_000

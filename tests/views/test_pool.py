@@ -1,0 +1,61 @@
+"""Worker processes: their results, errors and warnings come back; closing waits for nobody."""
+
+import logging
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+
+from imagination.errors import UserError
+from imagination.views.pool import ScenePool
+from imagination.views.view import Observer
+from tests.data.test_collecting import observer
+
+
+def warned(observer: Observer, scene: str, fails: bool) -> str:
+    logging.getLogger("imagination.somewhere").warning("%s is odd", scene)
+    logging.getLogger("imagination.somewhere").info("not worth telling")
+    warnings.warn("deprecated thing", stacklevel=1)
+    if fails:
+        raise UserError(f"scene: got {scene}")
+    return scene.upper()
+
+
+def slow(observer: Observer, scene: str, started: Path) -> None:
+    started.touch()
+    time.sleep(600)
+
+
+def test_warnings_of_workers_reach_the_logs_of_the_main_process(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    pool = ScenePool(observer(tmp_path), 1)
+    try:
+        for fails in (False, True):
+            caplog.clear()
+            future = pool.submit(warned, "train_0", fails)
+            if fails:
+                with pytest.raises(UserError, match="got train_0"):
+                    future.result()
+            else:
+                assert future.result() == "TRAIN_0"
+            messages = [(record.name, record.levelname, record.getMessage()) for record in caplog.records]
+            assert messages[0] == ("imagination.somewhere", "WARNING", "train_0 is odd")
+            assert messages[1][0] == "py.warnings" and "deprecated thing" in messages[1][2]
+            assert len(messages) == 2
+    finally:
+        pool.close()
+
+
+def test_closing_waits_for_no_work(tmp_path: Path) -> None:
+    pool = ScenePool(observer(tmp_path), 1)
+    futures = [pool.submit(slow, "train_0", tmp_path / "started") for _ in range(3)]
+    while not (tmp_path / "started").exists():
+        time.sleep(0.05)
+    start = time.monotonic()
+    pool.close()
+    assert time.monotonic() - start < 5
+    assert not any(
+        future.done() and future.exception() is None for future in futures if not future.cancelled()
+    )
