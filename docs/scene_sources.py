@@ -21,7 +21,7 @@ from imagination.scenes.renderer import renderer_of
 from imagination.scenes.scene import SceneSource
 from imagination.views.poses import sample_poses
 from tests.scene_sources.fake_habitat import install
-from tests.scene_sources.sources import SOURCES, configured, source
+from tests.scene_sources.sources import NEEDS, SOURCES, configured, source
 
 PICTURES = Path(__file__).parent / "pictures"
 CAMERA = Camera.from_degrees(384, 288, 80.0, 1.25, pitch=8.0)
@@ -42,9 +42,9 @@ def draw(name: str, made: SceneSource, folder: Path) -> None:
         amount = sum(np.sqrt((shown == index).mean()) for index in range(1, len(table) + 1))
         looks.append((amount, len(looks), image))
     image = max(looks)[2]
-    figure = Figure(figsize=(10.0, 3.4), dpi=90, layout="constrained")
+    figure = Figure(figsize=(10.0, 3.9), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    left, middle, right = figure.subplots(1, 3)
+    left, middle, right = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.0))
     pictures.show_truth(left, scene, truth, table)
     middle.imshow(image.rgb)
     right.imshow(np.where(image.depth > 0, image.depth, np.nan), cmap="viridis_r")
@@ -58,7 +58,7 @@ def draw(name: str, made: SceneSource, folder: Path) -> None:
 
 def main(names: list[str]) -> None:
     """Draw the sources named, or all."""
-    for name in names or list(SOURCES):
+    for name in names or [name for name in SOURCES if name not in NEEDS]:
         with tempfile.TemporaryDirectory() as scratch, pytest.MonkeyPatch.context() as patch:
             folder = Path(scratch)
             if name == "habitat":

@@ -113,6 +113,7 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
     def decorate(task: Task) -> Callable[[], None]:
         @wraps(task)
         def checked(config: DictConfig) -> float | None:
+            config.sweep_dir = None  # Hydra has it from here on; with its date it is no part of a run
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 from imagination.sweep import run_member  # which imports this module
 

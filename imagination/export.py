@@ -8,6 +8,7 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.config import command
+from imagination.deployment.formats import PRECISIONS, SUFFIXES
 from imagination.errors import UserError, check_choice, check_range
 
 log = logging.getLogger(__name__)
@@ -24,9 +25,8 @@ def validate(config: DictConfig) -> None:
     """
     if OmegaConf.is_missing(config, "ckpt"):
         raise UserError("ckpt: got none, expected ckpt=outputs/<experiment>/latest/checkpoints/best.ckpt")
-    precisions = {"onnx": ("float32", "int8"), "torch_export": ("bfloat16", "float32")}
-    check_choice("format", config.format, precisions)
-    check_choice(f"precision with format={config.format}", config.precision, precisions[config.format])
+    check_choice("format", config.format, PRECISIONS)
+    check_choice(f"precision with format={config.format}", config.precision, PRECISIONS[config.format])
     check_range("views", config.views, 1, 10_000, "views")
     check_range("tolerance", config.tolerance, 0.0, 1.0)
     check_range("max_loss", config.max_loss, 0.0, 1.0)
@@ -42,9 +42,9 @@ def main(config: DictConfig) -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     paths = [config.ckpt] if isinstance(config.ckpt, str) else list(config.ckpt)
     checkpoints = [Checkpoint.read(path) for path in paths]
-    file = Path(config.file) if config.file else Path(paths[0]).with_suffix(export.SUFFIXES[config.format])
-    if file.suffix != export.SUFFIXES[config.format]:
-        raise UserError(f"file: got {file}, expected a name that ends in {export.SUFFIXES[config.format]}")
+    file = Path(config.file) if config.file else Path(paths[0]).with_suffix(SUFFIXES[config.format])
+    if file.suffix != SUFFIXES[config.format]:
+        raise UserError(f"file: got {file}, expected a name that ends in {SUFFIXES[config.format]}")
     run = checkpoints[0].config
     run.cache.folder = config.paths.cache
     run.unit_categories = [name for checkpoint in checkpoints for name in checkpoint.config.unit_categories]

@@ -75,9 +75,11 @@ def run(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
         log.error("error: %s; what came before it is mapped and saved", error)
     except KeyboardInterrupt:
         status = 130
-        log.warning("Interrupted; the map so far is saved")
+        log.warning("Interrupted; the map of %d frames is saved", frames.mapped)
     if refused:
         log.warning("The first frame that was refused: %s", refused)
+    if status == 130 and not frames.mapped:
+        sys.exit(status)
     if not frames.mapped:
         raise UserError(f"recording: no frame could be mapped. {frames.summary()}")
     log.info("%s", frames.summary())

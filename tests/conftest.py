@@ -45,3 +45,16 @@ def example_plugin(tmp_path: Path) -> Iterator[Path]:
     folder.parent.mkdir()
     folder.symlink_to(ROOT / "tests" / "plugins_example", target_is_directory=True)
     yield folder
+
+
+@pytest.fixture(scope="session")
+def unit_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small unit for chairs that was never trained, as ONNX."""
+    from imagination.checkpoints import Checkpoint  # torch, which few tests need
+    from imagination.deployment.export import export
+    from tests.deployment.checkpoints import make_checkpoint, samples
+
+    folder = tmp_path_factory.mktemp("unit")
+    checkpoint = Checkpoint.read(make_checkpoint(folder / "chair.ckpt"))
+    export([checkpoint], folder / "chair.onnx", "onnx", "float32", samples(1))
+    return folder / "chair.onnx"

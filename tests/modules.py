@@ -1,5 +1,7 @@
 """Modules that stand for trained units: what they answer depends on all that they are given, and on where it lies."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 
@@ -7,6 +9,8 @@ from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.projection import Band
 from imagination.mapping.module import Description, Observation
+from imagination.mapping.semantic import SemanticMapper, Update
+from imagination.viewers.viewer import NoViewer
 
 CAMERA = Camera.from_degrees(48, 48, 90.0, 1.25)
 EGO = EgoGrid(0.12, 31)
@@ -26,3 +30,13 @@ class Toy:
         shade = cv2.resize(observation.rgb[..., 0].mean(axis=0)[None] / 255, (cells, 1))
         base = np.clip(smeared * (0.5 + shade) + 0.1 * observation.seen, 0, 1).astype(np.float32)
         return np.stack([base ** (number + 1) for number in range(len(self.description.categories))])
+
+
+class Marker(NoViewer):
+    """A viewer that leaves a file once a frame was shown."""
+
+    def open(self, folder: Path, mapper: SemanticMapper) -> None:
+        self.file = folder / "shown"
+
+    def show(self, stamp: int, update: Update) -> None:
+        self.file.touch()

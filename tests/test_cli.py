@@ -72,7 +72,7 @@ def test_mistakes_get_one_message(
     done = command("train", *arguments)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
-    assert done.stderr.startswith("error: ") and len(done.stderr.splitlines()) < 12
+    assert done.stderr.startswith("error: ") and len(done.stderr.splitlines()) < 16
     assert all(text in done.stderr for text in told), done.stderr
     assert not (tmp_path / "outputs").exists()
 

@@ -159,6 +159,7 @@ def test_the_best_recipe_is_the_paper_s_with_another_loss_and_rule(category: str
     assert theirs["model"]["loss"]["_target_"].endswith("WeightedBCE")
     assert ours["mapping"]["registration"]["_target_"].endswith(".Mean")
     for config in (ours, theirs):
-        del config["name"], config["model"]["loss"], config["model"]["module"]["loss"]
+        del config["name"], config["sweep_dir"]
+        del config["model"]["loss"], config["model"]["module"]["loss"]
         del config["mapping"]["registration"], config["evaluation"], config["callbacks"]["mapping_evaluation"]
     assert ours == theirs

@@ -106,7 +106,7 @@ def test_a_checkpoint_of_another_model_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_our_own_targets_are_trusted(experiment: str) -> None:
-    check_targets(compose("train", [f"+experiment={experiment}", "paths.run=."]))
+    check_targets(compose("train", [f"+experiment={experiment}", "paths.run=.", "sweep_dir=null"]))
 
 
 @pytest.mark.parametrize(

@@ -26,11 +26,6 @@ from imagination.units.encoders import TimmEncoder
 from imagination.views.poses import sample_poses
 from imagination.views.view import Observer
 
-SUFFIXES = {"onnx": ".onnx", "torch_export": ".pt2"}
-"""Of each format's files."""
-
-PRECISIONS = {"onnx": ("float32", "int8"), "torch_export": ("bfloat16", "float32")}
-
 
 class Sample(NamedTuple):
     """A real view: what the units are given, and what they were trained to answer."""
@@ -75,7 +70,7 @@ def export(
         checkpoints: of different categories, trained with the same camera and grid.
         path: of the file.
         format: onnx or torch_export.
-        precision: one of PRECISIONS[format].
+        precision: one that the format has; see `PRECISIONS`.
         calibration: views that int8's ranges are taken from; one of them is traced.
 
     Raises:

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from imagination.errors import UserError
-from imagination.evaluation.approaches import Statement
 from imagination.evaluation.metrics import count, iou
 from imagination.evaluation.outcome import Choices
 from imagination.evaluation.protocol import MappingProtocol, Subject, homes_with
@@ -18,6 +17,7 @@ from imagination.evaluation.selection import THRESHOLDS, tally
 from imagination.evaluation.style import WITH_TRUTH
 from imagination.evaluation.tables import REFERENCE, Row, to_csv
 from imagination.ground_truth.label import label
+from imagination.mapping.module import Statement
 from imagination.runs import replacing, write_text
 from imagination.views.collector import Views
 

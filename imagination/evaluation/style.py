@@ -42,7 +42,7 @@ COLOURS = {
 }
 """The palette of Okabe and Ito (2008), which people who see few colours can tell apart."""
 
-SPARE = ("#b2a300", "#7f3c8d", "#3969ac", "#80ba5a", "#a5673f")
+SPARE = ("#7f3c8d", "#b2a300", "#3969ac", "#80ba5a", "#a5673f")
 """Colours of other approaches, in their order."""
 
 THEMES: dict[str, dict[str, Any]] = {
@@ -68,7 +68,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 def theme(name: str) -> Iterator[None]:
     """Draw and save figures for a light or a dark page."""
     colour = THEMES[name]
-    changes = {
+    changes: Any = {  # matplotlib types each key by itself
         "figure.facecolor": colour["face"],
         "savefig.facecolor": colour["face"],
         "axes.facecolor": colour["face"],
@@ -91,5 +91,5 @@ def theme(name: str) -> Iterator[None]:
         "lines.linewidth": 1.6,
         "pdf.fonttype": 42,  # text stays text
     }
-    with mpl.rc_context(changes):
+    with mpl.rc_context(changes):  # type: ignore[arg-type]  # matplotlib lists every key as a literal
         yield

@@ -59,7 +59,7 @@ def draw_scene(scene: Scene, truth: GroundTruth, categories: CategoryTable, look
     free, occupied, all_truth = figure.subplots(1, 3)
     _show_map(free, _paint(scene.free_space.mask, FREE), scene.free_space.grid, scene)
     free.plot(*truth.points.T, ".", color="black", markersize=1.0)
-    _name_objects(free, scene)
+    _name_objects(free, scene, 3.5)
     free.set_title(f"free space and {len(truth.points)} points that look around", fontsize=9)
     _show_map(occupied, _paint(truth.occupied, OCCUPIED), truth.grid, scene)
     occupied.set_title("M_occu", fontsize=9)
@@ -169,7 +169,7 @@ def _show_map(
 def show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: CategoryTable) -> None:
     """M_gt of all categories over M_occu, with the names of the objects."""
     _show_truth(axes, scene, truth, categories)
-    _name_objects(axes, scene)
+    _name_objects(axes, scene, 5.0)
 
 
 def _show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: CategoryTable) -> None:
@@ -187,13 +187,13 @@ def _reach(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]
     return every.min(axis=0) - MARGIN, every.max(axis=0) + MARGIN
 
 
-def _name_objects(axes: Axes, scene: Scene) -> None:
-    """The label of every object that is not small, at its middle."""
+def _name_objects(axes: Axes, scene: Scene, points: float) -> None:
+    """The label of every object that is not small, at its middle, in letters of so many points."""
     for thing in scene.objects:
         if max(thing.box.size[:2]) > SMALL:
             x, y, _ = thing.box.centre
             axes.text(
-                x, y, thing.label.replace("_", "\n"), fontsize=3.5, ha="center", va="center", clip_on=True
+                x, y, thing.label.replace("_", "\n"), fontsize=points, ha="center", va="center", clip_on=True
             )
 
 

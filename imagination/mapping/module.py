@@ -1,6 +1,7 @@
 """The imagination module as the mapper sees it: the units of all categories side by side, whatever runs them."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import reduce
@@ -18,6 +19,9 @@ from imagination.ground_truth.label import neighbourhood
 
 VERSION = 1
 """Of the description in a unit's file."""
+
+RESERVED = ("map", "objects", "occupancy")
+"""Names that no category may have: map files and topics of the map itself have them."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,13 @@ class Description:
             raise UserError(
                 f"units: got the categories {list(self.categories)}, expected each once and at least one"
             )
+        for name in self.categories:
+            if (
+                not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name) or name in RESERVED
+            ):  # they become names of files
+                raise UserError(
+                    f"units: got the category {name!r}, expected letters, digits, _ and -, and none of {', '.join(RESERVED)}"
+                )
         if len(self.colours) != len(self.categories):
             raise UserError(f"units: got {len(self.colours)} colours for {len(self.categories)} categories")
         check_range("ego.resolution", self.ego.resolution, 0.005, 1.0, "m")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from imagination.errors import UserError, check_range
-from imagination.geometry.camera import Camera
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
+from imagination.recordings.cameras import mount_of
 from imagination.recordings.recording import BrokenRecordingError, Images, Shot, Stamp
 from imagination.recordings.ros_messages import (
     CAMERA_INFO,
@@ -76,7 +76,8 @@ class BagRecording:
                 raise UserError(f"{self.path}: topic {found.infos[kind]!r} holds no camera_info")
         self.frame: str = self._infos["colour"].header.frame_id.lstrip("/")
         if mount is not None:
-            self._mount(mount)
+            base, matrix = mount_of(mount)
+            self.transforms.add(base, self.frame, 0, matrix, fixed=True)
         self.world = world or self.transforms.ancestors(self.frame)[-1]
         if self.world == self.frame and not self.transforms.moving:
             raise UserError(f"{self.path}: holds no poses, neither in /tf nor in an odometry topic")
@@ -160,17 +161,6 @@ class BagRecording:
                 self.skipped["transform that is none"] += 1
                 continue
             self.transforms.add(entry.header.frame_id, child, stamp_of(entry), matrix, fixed)
-
-    def _mount(self, mount: Mapping[str, Any]) -> None:
-        try:
-            frame, height = str(mount["frame"]), float(mount["height"])
-            pitch, roll = np.deg2rad([float(mount.get("pitch", 0.0)), float(mount.get("roll", 0.0))]).tolist()
-        except (KeyError, TypeError, ValueError) as error:
-            raise UserError(
-                f"recording.mount: got {dict(mount)}, expected frame, height in metres, pitch and roll in degrees"
-            ) from error
-        matrix = Camera(8, 8, 1.0, height, pitch, roll).to_robot()
-        self.transforms.add(frame, self.frame, 0, matrix, fixed=True)
 
     def _camera(self) -> RgbdCamera:
         colour, depth = (self._intrinsics(kind) for kind in ("colour", "depth"))

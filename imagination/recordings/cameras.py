@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from imagination.errors import UserError
+from imagination.geometry.camera import Camera
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
 
 
@@ -36,3 +38,27 @@ def camera_of(values: Mapping[str, Any], origin: str = "camera") -> RgbdCamera:
 def intrinsics_of(values: Mapping[str, Any]) -> Intrinsics:
     """Intrinsics from plain values; see `camera_of`."""
     return Intrinsics(**{**values, "distortion": tuple(values.get("distortion") or ())})
+
+
+def mount_of(values: Mapping[str, Any]) -> tuple[str, Float64[np.ndarray, "4 4"]]:
+    """Where a camera sits on a robot that does not say so itself: the robot's frame, and the transform to it.
+
+    Args:
+        values: frame, height above it in metres, pitch and roll in degrees.
+
+    Raises:
+        UserError: if one is missing, unknown or impossible.
+    """
+    try:
+        known = {"frame", "height", "pitch", "roll"}
+        frame, height = str(values["frame"]), float(values["height"])
+        tilt = np.deg2rad([float(values.get("pitch", 0.0)), float(values.get("roll", 0.0))]).tolist()
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(
+            f"mount: got {dict(values)}, expected frame, height in metres, pitch and roll in degrees"
+        ) from error
+    if unknown := values.keys() - known:
+        raise UserError(
+            f"mount: got the unknown keys {', '.join(sorted(unknown))}, expected {', '.join(sorted(known))}"
+        )
+    return frame, Camera(8, 8, 1.0, height, *tilt).to_robot()

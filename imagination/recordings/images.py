@@ -1,13 +1,18 @@
 """Images as files and recordings hold them, to arrays: colour to RGB, depth to metres."""
 
 import struct
+from io import BytesIO
 from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
+from PIL import Image
 
 from imagination.recordings.recording import BrokenRecordingError
+
+MAX_SIDE = 8192
+"""Pixels a side of an image; larger ones are refused before anything is allocated."""
 
 COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
 """Of ROS' compressedDepth: format, and the two parameters of the inverse depth that float images are coded with."""
@@ -52,10 +57,7 @@ def decode_colour(data: bytes, origin: str) -> UInt8[np.ndarray, "h w 3"]:
     Raises:
         BrokenRecordingError: if it cannot be decoded.
     """
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
-    if image is None:
-        raise BrokenRecordingError(f"{origin}: {len(data)} bytes that are no image")
-    return image
+    return _decode(data, cv2.IMREAD_COLOR_RGB, origin)
 
 
 def decode_depth(data: bytes, origin: str) -> np.ndarray:
@@ -64,9 +66,7 @@ def decode_depth(data: bytes, origin: str) -> np.ndarray:
     Raises:
         BrokenRecordingError: if it cannot be decoded, or has several channels.
     """
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    if image is None:
-        raise BrokenRecordingError(f"{origin}: {len(data)} bytes that are no image")
+    image = _decode(data, cv2.IMREAD_UNCHANGED, origin)
     if image.ndim != 2 or image.dtype == np.uint8:
         raise BrokenRecordingError(
             f"{origin}: got {image.dtype} of shape {image.shape}, expected depth, one channel of 16 bits or floats"
@@ -99,6 +99,23 @@ def to_metres(raw: np.ndarray, scale: float) -> Float32[np.ndarray, "h w"]:
     """
     depth = raw.astype(np.float32) / np.float32(scale)
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+
+
+def _decode(data: bytes, flags: int, origin: str) -> np.ndarray:
+    """Decode an image whose header states a size that is allowed: a few bytes can unpack to gigabytes."""
+    try:
+        with Image.open(BytesIO(data)) as header:
+            size = header.size
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise BrokenRecordingError(f"{origin}: {len(data)} bytes that are no image") from error
+    if max(size) > MAX_SIDE:
+        raise BrokenRecordingError(
+            f"{origin}: got {size[0]} x {size[1]} pixels, expected at most {MAX_SIDE} a side"
+        )
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    if image is None:
+        raise BrokenRecordingError(f"{origin}: {len(data)} bytes that are no image")
+    return image
 
 
 def _bytes(path: Path) -> bytes:

@@ -86,6 +86,8 @@ class Frames:
     recording: Recording
     mapped: int = 0
     _skipped: Counter[str] = field(default_factory=Counter)
+    _holes: int = 0
+    _pixels: int = 0
 
     @property
     def skipped(self) -> Counter[str]:
@@ -108,10 +110,14 @@ class Frames:
                 last = shot.stamp
                 images = shot.load()
                 self.mapped += 1
+                self._holes += images.depth.size - int(np.count_nonzero(images.depth))
+                self._pixels += images.depth.size
                 yield Frame(shot.stamp, *images, shot.camera_to_world)
 
     def summary(self) -> str:
-        """How many frames were mapped and why others were not."""
+        """How many frames were mapped, what share of their depth is missing, and why others were not."""
         lines = [f"{self.mapped} frames mapped, {self.skipped.total()} skipped"]
+        if self._pixels:
+            lines.append(f"    {self._holes / self._pixels:.1%} of their depth pixels are holes")
         lines += [f"    {count} x {reason}" for reason, count in self.skipped.most_common()]
         return "\n".join(lines)

@@ -13,6 +13,7 @@ from jaxtyping import Float32, Float64, UInt8
 from imagination.errors import UserError
 from imagination.geometry.rgbd import Intrinsics
 from imagination.recordings.images import (
+    MAX_SIDE,
     decode_colour,
     decode_compressed_depth,
     decode_depth,
@@ -24,9 +25,6 @@ from imagination.recordings.trajectory import SECOND, matrix_of
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-
-MAX_SIDE = 8192
-"""Pixels a side of an image; larger ones are refused before anything is allocated."""
 
 COLOURS: dict[str, tuple[int, int | None]] = {
     "rgb8": (3, None),

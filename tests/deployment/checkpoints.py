@@ -25,20 +25,20 @@ def make_checkpoint(path: Path, *choices: str) -> Path:
     OmegaConf.update(config, "choices", every)
     torch.manual_seed(0)
     model = instantiate(config.model.module)
-    for name, value in model.named_buffers():
-        if name.endswith("running_mean"):
-            value.normal_()
-        elif name.endswith("running_var"):
-            value.uniform_(0.5, 2.0)
     with torch.no_grad():
+        for part in model.modules():
+            if isinstance(part, torch.nn.BatchNorm2d):
+                part.running_mean.normal_(std=0.1)
+                part.running_var.uniform_(0.2, 1.0)
+                part.bias.normal_(std=0.3)
         model.unit.head.bias.zero_()  # answers on both sides of one half
-        model.unit.head.weight.normal_(std=0.5)
+        model.unit.head.weight.normal_()
     description = ConfigInCheckpoint(config).description
     torch.save({"state_dict": model.state_dict(), KEY: description}, path)
     return path
 
 
-def samples(count: int) -> list[Sample]:
+def samples(count: int, categories: int = 1) -> list[Sample]:
     """Real views of a room."""
     scene = tiny_room()
     renderer = Renderer(scene.mesh, scene.lighting)
@@ -48,5 +48,5 @@ def samples(count: int) -> list[Sample]:
         image = renderer.render(CAMERA, CAMERA.to_world(pose))
         view = project_depth(image.depth, CAMERA, EGO, Toy().description.obstacles)
         seen = Observation(image.rgb, image.depth, view.occupied, view.seen, CAMERA.mount_height)
-        found.append(Sample(seen, np.zeros((1, EGO.cells, EGO.cells), np.bool_)))
+        found.append(Sample(seen, np.zeros((categories, EGO.cells, EGO.cells), np.bool_)))
     return found

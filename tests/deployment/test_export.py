@@ -38,11 +38,11 @@ def test_it_answers_as_pytorch(files: Path, name: str) -> None:
     module, reference = load(files / name), load([files / "chair.ckpt", files / "bed.ckpt"])
     assert module.description == reference.description
     assert module.description.categories == ("chair", "bed")
-    views = samples(6)
+    views = samples(6, categories=2)
     check = compare(module, reference, views)
     assert check.difference < 1e-4
     answers = np.stack([module(view.observation) for view in views])
-    assert answers.min() < 0.4 and answers.max() > 0.6 and answers[0].std() > 0.02
+    assert np.ptp(answers) > 0.2 and answers[0].std() > 0.02
     for channel in range(2):  # each of them looks at heights above the floor, which move with the camera
         lower = views[0].observation._replace(mount_height=0.9)
         np.testing.assert_allclose(module(lower), reference(lower), atol=1e-4)

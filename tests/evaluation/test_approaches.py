@@ -47,7 +47,7 @@ def seen_square() -> np.ndarray:
 
 def test_seen_prediction_writes_the_cells_it_saw() -> None:
     probabilities = np.full((1, 1, 9, 9), 0.7, np.float32)
-    values, mask = SeenPrediction()(one_view(seen_square()), {"maps": probabilities}, SETTING)
+    values, mask, _ = SeenPrediction()(one_view(seen_square()), {"maps": probabilities}, SETTING)
     assert (mask[0, 0] == seen_square()).all()
     assert (values[mask] == np.float32(0.7)).all()
 
@@ -56,7 +56,7 @@ def test_valid_prediction_writes_what_it_saw_and_the_neighbourhood() -> None:
     probabilities = np.full((1, 1, 9, 9), 0.4, np.float32)
     probabilities[0, 0, 4, 5] = 0.5  # seen, and as sure as tau_valid asks
     probabilities[0, 0, 8, 8] = 0.9  # sure, but far from anything seen of an object
-    values, mask = ValidPrediction(0.5, 0.3)(one_view(seen_square()), {"maps": probabilities}, SETTING)
+    values, mask, _ = ValidPrediction(0.5, 0.3)(one_view(seen_square()), {"maps": probabilities}, SETTING)
     near = np.zeros((9, 9), bool)
     near[3:6, 4:7] = True
     assert (mask[0, 0] == seen_square() | near).all()
@@ -65,7 +65,7 @@ def test_valid_prediction_writes_what_it_saw_and_the_neighbourhood() -> None:
 
 def test_a_view_that_sees_no_object_denies_what_it_saw() -> None:
     probabilities = np.full((1, 1, 9, 9), 0.49, np.float32)
-    values, mask = ValidPrediction(0.5, 0.3)(one_view(seen_square()), {"maps": probabilities}, SETTING)
+    values, mask, _ = ValidPrediction(0.5, 0.3)(one_view(seen_square()), {"maps": probabilities}, SETTING)
     assert (mask[0, 0] == seen_square()).all()
     assert not values.any()
 
@@ -74,7 +74,7 @@ def test_segmentation_writes_returns_of_its_category_and_what_it_saw() -> None:
     view = one_view(seen_square())
     view["depth"][0, 8, 8], view["categories"][0, 8, 8] = 0.5, 2  # straight ahead: 0.5 m
     view["depth"][0, 8, 2], view["categories"][0, 8, 2] = 0.5, 1  # of another category
-    values, mask = ProjectedSegmentation(0.0, 2.0, np.inf)(view, {}, SETTING)
+    values, mask, _ = ProjectedSegmentation(0.0, 2.0, np.inf)(view, {}, SETTING)
     assert np.argwhere(values[0, 0]).tolist() == [[3, 4]]
     assert (mask[0, 0] == seen_square() | (values[0, 0] > 0)).all()
 
@@ -87,7 +87,7 @@ def test_segmentation_leaves_out_what_lies_beyond_its_band_or_range(
 ) -> None:
     view = one_view(seen_square())
     view["depth"][0, 8, 8], view["categories"][0, 8, 8] = 0.5, 2
-    values, _ = ProjectedSegmentation(low, high, max_range)(view, {}, SETTING)
+    values, *_ = ProjectedSegmentation(low, high, max_range)(view, {}, SETTING)
     assert not values.any()
 
 
@@ -169,7 +169,7 @@ def test_a_predicted_segmentation_is_projected_in_the_truth_s_place() -> None:
     images = np.zeros((1, 16, 16), np.uint8)
     images[0, 8, 8] = 2
     evidence = ProjectedSegmentation(0.0, 2.0, np.inf, predicted=True)
-    values, _ = evidence(view, {"images": images}, SETTING)
+    values, *_ = evidence(view, {"images": images}, SETTING)
     assert np.argwhere(values[0, 0]).tolist() == [[3, 4]] and evidence.needs == "images"
 
 
@@ -177,7 +177,7 @@ def test_the_imaginable_area_surrounds_what_is_seen_of_an_object() -> None:
     view = one_view(seen_square())
     view["object"] = np.zeros((1, 3, 9, 9), bool)
     view["object"][0, 1, 5, 5:8] = True  # seen at column 5, imaginable one cell further
-    values, mask = ImaginableArea(0.3)(view, {}, SETTING)
+    values, mask, _ = ImaginableArea(0.3)(view, {}, SETTING)
     near = np.zeros((9, 9), bool)
     near[4:7, 4:7] = True
     assert (mask[0, 0] == near).all() and (values == mask).all()

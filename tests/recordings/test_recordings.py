@@ -108,6 +108,8 @@ def test_a_plain_folder_with_poses_of_the_camera_and_frames_without(tmp_path: Pa
     frames = Frames(FolderRecording(str(tmp_path / "plain")))
     assert [frame.stamp for frame in frames] == [one.stamp for one in taken(3)[1:]]
     assert frames.skipped == {"no pose at its time": 1}
+    holes = np.mean([one.depth == 0 for one in taken(3)[1:]])
+    assert f"{holes:.1%} of their depth pixels are holes" in frames.summary()
 
 
 @pytest.mark.parametrize(
@@ -375,6 +377,15 @@ def test_depth_with_holes_and_of_every_kind(tmp_path: Path) -> None:
     np.save(tmp_path / "d.npy", np.zeros((2, 2, 2), np.float32))
     with pytest.raises(BrokenRecordingError, match="expected rows x columns"):
         read_depth(tmp_path / "d.npy", 1000.0)
+
+
+def test_a_small_file_that_unpacks_to_a_large_image_is_refused() -> None:
+    from imagination.recordings.images import decode_colour
+
+    data = bytearray(cv2.imencode(".png", np.zeros((9, 9, 3), np.uint8))[1].tobytes())
+    data[16:24] = (60_000).to_bytes(4, "big") * 2
+    with pytest.raises(BrokenRecordingError, match="expected at most 8192 a side|are no image"):
+        decode_colour(bytes(data), "x")
 
 
 def test_broken_folders_are_refused(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from tests.data.test_collecting import observer
 def warned(observer: Observer, scene: str, fails: bool) -> str:
     logging.getLogger("imagination.somewhere").warning("%s is odd", scene)
     logging.getLogger("imagination.somewhere").info("not worth telling")
-    warnings.warn("deprecated thing", stacklevel=1)
+    warnings.warn(f"deprecated thing {fails}", stacklevel=1)  # each text is told once
     if fails:
         raise UserError(f"scene: got {scene}")
     return scene.upper()

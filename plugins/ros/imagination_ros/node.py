@@ -14,9 +14,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from imagination.errors import UserError, check_range
-from imagination.geometry.camera import Camera
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
 from imagination.mapping.semantic import SemanticMapper
+from imagination.recordings.cameras import mount_of
 from imagination.recordings.ros_messages import (
     CAMERA_INFO,
     COMPRESSED,
@@ -105,6 +105,9 @@ class MappingNode:
         period: seconds between two publications.
         threshold: probability from which a cell belongs to an object.
 
+    Raises:
+        UserError: if the mount is none.
+
     Attributes:
         counts: frames mapped, dropped and refused, by the reason.
         mapper: None until the first frame.
@@ -125,7 +128,7 @@ class MappingNode:
         threshold: float = 0.5,
     ) -> None:
         self.make_mapper, self.publish, self.codec = make_mapper, publish, codec
-        self.world, self.mount, self.depth_scale = world, mount, depth_scale
+        self.world, self.mount, self.depth_scale = world, mount_of(mount) if mount else None, depth_scale
         self.patience, self.period, self.threshold = patience, period, threshold
         self.counts: Counter[str] = Counter()
         self.mapper: SemanticMapper | None = None
@@ -160,11 +163,9 @@ class MappingNode:
             if frame is None:
                 return False
             pending, pose = frame
-            camera = self._camera() if self.mapper is None else None
         try:
-            if camera is not None:
-                self.mapper = self.make_mapper(camera)
-            assert self.mapper is not None, "made with the first frame"
+            if self.mapper is None:
+                self.mapper = self.make_mapper(self._camera())
             self.mapper.update(colour_of(pending.colour), depth_of(pending.depth, self.depth_scale), pose)
         except UserError as error:
             with self._changed:
@@ -248,16 +249,16 @@ class MappingNode:
             return None
         frame = self._intrinsics["colour"][1]
         if self.mount is not None and frame.lstrip("/") == self._transforms.ancestors(frame)[-1]:
-            tilt = np.deg2rad([float(self.mount.get(name, 0.0)) for name in ("pitch", "roll")]).tolist()
-            matrix = Camera(8, 8, 1.0, float(self.mount["height"]), *tilt).to_robot()
-            self._transforms.add(str(self.mount["frame"]), frame, 0, matrix, fixed=True)
+            base, matrix = self.mount
+            self._transforms.add(base, frame, 0, matrix, fixed=True)
         if self.world.lstrip("/") not in self._transforms.ancestors(frame):
             return None
         return self._transforms.at(self.world, frame, stamp)
 
     def _camera(self) -> RgbdCamera:
-        (colour, frame), (depth, depth_frame) = self._intrinsics["colour"], self._intrinsics["depth"]
-        between = self._transforms.between(depth_frame, frame) if depth_frame != frame else np.eye(4)
+        with self._changed:
+            (colour, frame), (depth, depth_frame) = self._intrinsics["colour"], self._intrinsics["depth"]
+            between = self._transforms.between(depth_frame, frame) if depth_frame != frame else np.eye(4)
         return RgbdCamera(colour, depth if depth != colour else None, between)
 
     def _refuse(self, role: str, error: Exception) -> None:

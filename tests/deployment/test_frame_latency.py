@@ -1,4 +1,4 @@
-"""One frame end to end, and ten thousand of them: `pytest -m slow -s tests/deployment/test_latency.py`."""
+"""One frame end to end, and ten thousand of them: `pytest -m slow -s tests/deployment/test_frame_latency.py`."""
 
 import resource
 import time
