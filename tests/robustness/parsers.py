@@ -16,7 +16,7 @@ from imagination.cache import MAGIC, DamagedError, decode, encode
 from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint
 from imagination.config import compose
 from imagination.errors import UserError
-from imagination.resume import _read
+from imagination.resume import END, _read
 
 
 class Parser(NamedTuple):
@@ -71,7 +71,7 @@ def checkpoints() -> list[bytes]:
 @cache
 def configs() -> list[bytes]:
     config = compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=."])
-    return [OmegaConf.to_yaml(config).encode()]
+    return [(OmegaConf.to_yaml(config) + END).encode()]
 
 
 def corpus(path: Path) -> object:
