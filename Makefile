@@ -1,10 +1,11 @@
 # setup: the environment in .venv · train: the main job · study: the paper's comparison · test: lints, types, tests · slow, mutate: the long checks
+# bench: how fast each part is · soak, fuzz: faults and foreign files
 VENV ?= .venv
 PYTHON ?= python3
 RUN := $(VENV)/bin/python
 ARGS ?= +experiment=chair_unet
 
-.PHONY: setup train study test slow mutate
+.PHONY: setup train study test slow mutate bench soak fuzz
 
 setup: $(VENV)/.made
 
@@ -31,3 +32,12 @@ slow: setup
 
 mutate: setup
 	$(RUN) tests/mutate.py
+
+bench: setup
+	$(RUN) -m benchmarks
+
+soak: setup
+	$(RUN) -m tests.robustness.soak
+
+fuzz: setup
+	$(RUN) -m tests.robustness.fuzz

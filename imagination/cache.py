@@ -15,7 +15,7 @@ import logging
 import os
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -93,14 +93,14 @@ class Cache:
         """
         path = self.path(kind, key)
         try:
-            arrays = _decode(path.read_bytes())
+            arrays = decode(path.read_bytes())
         except FileNotFoundError:
             return None
         except OSError as error:
             raise UserError(
                 f"cache: cannot read {path}: {error.strerror}; remove it or set paths.cache anew"
             ) from error
-        except _DamagedError:
+        except DamagedError:
             log.warning("cache: %s is damaged (its checksum does not fit); it is made again", path)
             return None
         with suppress(OSError):  # removed meanwhile, or another user's
@@ -114,7 +114,7 @@ class Cache:
             UserError: if the disk is full or the folder cannot be written.
         """
         path = self.path(kind, key)
-        content = _encode(arrays)
+        content = encode(arrays)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             _write(path, content)
@@ -160,7 +160,7 @@ def code_version(packages: tuple[str, ...] = MAKERS) -> str:
     return digest.hexdigest()
 
 
-class _DamagedError(Exception):
+class DamagedError(Exception):
     """A file that is not what was stored."""
 
 
@@ -184,7 +184,8 @@ def _remove_if_stale(part: Path) -> None:
             part.unlink()
 
 
-def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
+def encode(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Arrays as the content of a file; see the module's docstring."""
     header, parts = [], []
     for name, array in arrays.items():
         raw = (np.packbits(array) if array.dtype == bool else np.ascontiguousarray(array)).tobytes()
@@ -195,18 +196,44 @@ def _encode(arrays: Mapping[str, np.ndarray]) -> bytes:
     return b"".join([MAGIC, hashlib.sha256(body).digest(), body])
 
 
-def _decode(content: bytes) -> Arrays:
+def decode(content: bytes) -> Arrays:
+    """The arrays in the content of a file.
+
+    Raises:
+        DamagedError: if it is not what `encode` gave.
+    """
     start = len(MAGIC) + DIGEST
     body = memoryview(content)[start:]
     if content[: len(MAGIC)] != MAGIC or content[len(MAGIC) : start] != hashlib.sha256(body).digest():
-        raise _DamagedError
+        raise DamagedError
+    try:
+        return dict(_arrays(body))
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+        zlib.error,
+    ) as error:
+        raise DamagedError from error  # the checksum fits, but a stranger may have computed it
+
+
+def _arrays(body: memoryview) -> Iterator[tuple[str, np.ndarray]]:
     place = 4 + int.from_bytes(body[:4], "big")
-    arrays = {}
     for entry in json.loads(bytes(body[4:place])):
         kind, shape = np.dtype(entry["type"]), tuple(entry["shape"])
+        if kind.kind not in "biuf" or min(shape, default=0) < 0 or entry["size"] < 0:
+            raise DamagedError
         stored = body[place : place + entry["size"]]
         place += entry["size"]
-        raw = np.frombuffer(stored if kind == np.uint8 else zlib.decompress(stored), np.uint8)
-        flat = np.unpackbits(raw, count=prod(shape)).view(bool) if kind.kind == "b" else raw.copy().view(kind)
-        arrays[entry["name"]] = flat.reshape(shape)
-    return arrays
+        size = -(-prod(shape) // 8) if kind.kind == "b" else prod(shape) * kind.itemsize
+        raw = bytes(stored) if kind == np.uint8 else zlib.decompressobj().decompress(stored, size + 1)
+        if len(raw) != size:  # never more than the file says, whatever it unpacks to
+            raise DamagedError
+        flat = np.frombuffer(raw, np.uint8)
+        whole = (
+            np.unpackbits(flat, count=prod(shape)).view(bool) if kind.kind == "b" else flat.copy().view(kind)
+        )
+        yield entry["name"], whole.reshape(shape)

@@ -53,6 +53,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.eval_every": (1, 1_000_000, "rounds"),
     "scale.eval_homes": (1, 100_000, "homes"),
     "scale.batch_size": (1, 100_000, "views"),
+    "scale.accumulate": (1, 100_000, "parts"),
     "scale.rounds": (1, 10**9, "rounds"),
     "scale.learning_rate": (0.0, 10.0, ""),
     "scale.final_learning_rate": (0.0, 10.0, ""),
@@ -66,7 +67,8 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.hrnet_eval_every": (1, 1_000_000, "rounds"),
     "scale.workers": (0, 1024, "processes"),
     "trainer.max_epochs": (1, 10**9, "rounds"),
-    "trainer.devices": (1, 1, "device"),  # several need views of their own for each rank
+    "trainer.devices": (1, 1024, "devices"),
+    "trainer.num_nodes": (1, 10_000, "hosts"),
 }
 """What is checked before anything is built; builders check what they get as well. Whole bounds mean whole numbers."""
 
@@ -187,6 +189,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _register() -> None:
+    plugins.activate()  # before Hydra looks for launchers among what can be imported
     if _SearchPath not in Plugins.instance().discover(SearchPathPlugin):
         Plugins.instance().register(_SearchPath)
 

@@ -1,10 +1,21 @@
 """Errors that a user can act on: each names the value got, what is allowed and what to do."""
 
 from collections.abc import Iterable
+from importlib.util import find_spec
 
 
 class UserError(ValueError):
     """A mistake in what the user gave; the commands print its message without a traceback."""
+
+
+def require_extra(package: str, extra: str) -> None:
+    """Check that an optional package is installed.
+
+    Raises:
+        UserError: with the command that installs it.
+    """
+    if find_spec(package) is None:
+        raise UserError(f"{package}: is not installed, expected it here; pip install 'imagination[{extra}]'")
 
 
 def check_range(

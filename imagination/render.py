@@ -3,6 +3,7 @@
 import logging
 import sys
 from pathlib import Path
+from time import perf_counter
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -13,12 +14,13 @@ from omegaconf import DictConfig
 from imagination import runs
 from imagination.categories import CategoryTable
 from imagination.config import command
-from imagination.errors import check_choice, check_range
+from imagination.errors import check_choice, check_range, require_extra
 from imagination.geometry.morphology import kernel_cells
 from imagination.ground_truth import pictures
 from imagination.ground_truth.label import imaginable_mask, label, neighbourhood
 from imagination.ground_truth.maps import GroundTruth
 from imagination.ground_truth.pictures import Look
+from imagination.progress import progress
 from imagination.scenes.renderer import SceneRenderer, renderer_of
 from imagination.scenes.scene import SPLITS, Scene, Split
 from imagination.views.poses import sample_poses
@@ -36,7 +38,10 @@ class Kernels(NamedTuple):
 
 @command("render")
 def main(config: DictConfig) -> None:
-    """Write the ground truth and some views of one scene."""
+    """Write the ground truth and some views of one scene, or the views of a whole corpus."""
+    if "shards" in config:
+        write_corpus(config)
+        return
     check_range("poses", config.poses, 1, 10_000, "views")
     observer: Observer = instantiate(config.data.observer)
     split = cast(Split, check_choice("split", config.split, SPLITS))
@@ -72,6 +77,50 @@ def draw(config: DictConfig, observer: Observer, name: str, folder: Path) -> Non
         save_figure(folder / "views.png", pictures.draw_views(looks, observer.ego))
         save_figure(folder / "labels.png", pictures.draw_labels(looks, observer.ego, observer.categories))
         log.info("Written: %s/ (truth.npz, views.npz and pictures)", folder)
+
+
+def write_corpus(config: DictConfig) -> None:
+    """Render the views of all homes of a split into shards; homes that are there already stay, broken ones are told."""
+    from imagination.data import shards  # with it comes torch
+
+    require_extra("litdata", "shards")
+    check_range("parts", config.parts, 1, 1_000_000, "jobs")
+    check_range("part", config.part, 0, config.parts - 1)
+    data = instantiate(config.data.module)
+    split = cast(Split, check_choice("split", config.split, SPLITS))
+    recipe = shards.Recipe(data.sampler, config.seed, config.views, config.scale.update_interval)
+    folder, homes = Path(config.shards), data.observer.source.scenes(split)[config.part :: config.parts]
+    folder.mkdir(parents=True, exist_ok=True)
+    with runs.logging_to(folder / f"render_{config.part}_of_{config.parts}.log"):
+        left = [home for home in homes if not shards.written(folder, data.observer, home, recipe)]
+        begin, failed = perf_counter(), []
+        try:
+            tasks = {home: data.pool.submit(shards.try_home, home, folder, recipe) for home in left}
+            for home, task in progress(tasks.items(), f"views of homes ({split})", len(tasks)):
+                if problem := task.result():
+                    failed.append(home)
+                    log.error("%s is left out: %s", home, problem)
+        finally:
+            data.close()
+        seconds = perf_counter() - begin
+        about = shards.write_index(folder, data.observer, recipe)
+        count, size = len(about["homes"]), sum(path.stat().st_size for path in folder.glob("chunk-*.bin"))
+        per_view = size / (count * recipe.views)
+        log.info(
+            "%s: %d homes, %d views, %.1f kB a view", folder, count, count * recipe.views, per_view / 1e3
+        )
+        if done := len(left) - len(failed):
+            pace = done * recipe.views / seconds
+            log.info(
+                "%.0f views/s on %d processes, the homes and their truth included: a million take %.1f hours and "
+                "%.0f GB",
+                *(pace, max(1, config.scale.workers), 1e6 / pace / 3600, per_view * 1e6 / 1e9),
+            )
+        if failed:
+            log.error(
+                "%d homes failed: %s; run this again to try them once more", len(failed), ", ".join(failed)
+            )
+        log.info("Train on them: python -m imagination.train data=shards data.shards=%s", folder)
 
 
 def summary(scene: Scene, truth: GroundTruth, categories: CategoryTable) -> list[str]:

@@ -2,9 +2,12 @@
 
 import logging
 import re
+import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Thread
 from typing import NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
@@ -16,6 +19,8 @@ from yaml import YAMLError
 from imagination import runs
 from imagination.config import check_targets, explain, validate
 from imagination.errors import UserError
+from imagination.progress import console
+from imagination.ranks import agree, end_with_starter, lost_another, rank
 
 log = logging.getLogger(__name__)
 
@@ -57,16 +62,29 @@ def opened(config: DictConfig) -> Iterator[Run]:
         UserError: if there is nothing to go on with, or it may not be changed like this.
     """
     again = config.resume or config.ckpt_path
+    if rank():
+        run = _joined(config)
+        try:
+            yield run
+        except Exception as error:
+            if lost_another(error):
+                raise _alone(run.folder) from error
+            raise
+        return
     folder = _existing(config) if again else _new(config)
+    agree(folder)
     with runs.locked(folder), runs.logging_to(folder / "run.log"):
         if again:
             _check_changes(config)
         going_on = again or (folder / runs.COMPOSED).is_file()  # of a sweep's member that has not ended
+        runs.remove_parts(folder)
         run = _go_on(folder, config) if going_on else _begin(folder, config)
         try:
             yield run
         except Exception as error:
             log.error("The run failed", exc_info=True, extra=runs.FILE_ONLY)
+            if "torch" in sys.modules and lost_another(error):
+                raise _alone(folder) from error
             if explain(error) and not (folder / runs.LAST).is_file():  # refused: nothing to go on with
                 runs.take_back_latest(folder, run.before)
             raise
@@ -81,6 +99,27 @@ def opened(config: DictConfig) -> Iterator[Run]:
             else:
                 log.warning("Interrupted before a round was finished; start again with the same arguments")
             raise SystemExit(130) from stop
+
+
+def _joined(config: DictConfig) -> Run:
+    """The run that the first of several processes has opened; it alone writes and speaks."""
+    console.quiet = True
+    logging.getLogger().setLevel(logging.ERROR)
+    warnings.simplefilter("ignore")
+    Thread(target=end_with_starter, daemon=True).start()
+    folder = agree()
+    if config.resume or config.ckpt_path:
+        return _go_on(folder, config)
+    config.paths.run = str(folder)
+    config.choices = choices(HydraConfig.get().overrides.task)
+    return Run(folder, config, None)
+
+
+def _alone(folder: Path) -> UserError:
+    return UserError(
+        "training: another of the processes that train together is gone, so the job stops; go on with: "
+        f"python -m imagination.train ckpt_path={folder / runs.LAST}"
+    )
 
 
 def _new(config: DictConfig) -> Path:
@@ -147,7 +186,6 @@ def _check_changes(config: DictConfig) -> None:
 
 def _go_on(folder: Path, config: DictConfig) -> Run:
     """The run in `folder` with its own config, and what may be changed of it."""
-    runs.remove_parts(folder)
     saved = _read(folder / runs.COMPOSED)
     if "experiment" in HydraConfig.get().runtime.choices and config.name != saved.name:
         raise UserError(

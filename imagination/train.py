@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import logging
 import warnings
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from imagination import runs
@@ -18,6 +21,7 @@ from imagination.summary import record_hyperparameters, single_views, summary
 
 if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does without
     from lightning import LightningModule, Trainer
+    from lightning.pytorch.strategies import Strategy
 
     from imagination.data.datamodule import SceneData
 
@@ -33,7 +37,8 @@ def main(config: DictConfig) -> float | None:
     with opened(config) as run:
         log.info("Run folder: %s\nWatch it: tensorboard --logdir %s", run.folder, run.folder.parent)
         trainer = train(run)
-        log.info("%s\n%s", single_views(run, trainer), summary(run, best(run)))
+        if trainer.is_global_zero:
+            log.info("%s\n%s", single_views(run, trainer), summary(run, best(run)))
         return best_score(trainer)
 
 
@@ -64,6 +69,7 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
 
     config = run.config
     check_accelerator(config.trainer.accelerator)
+    check_shares(config)
     if "purge_step" in config.logger:  # what a killed process logged after the checkpoint comes again
         config.logger.purge_step = read_state(run.checkpoint)["global_step"] if run.checkpoint else 0
     quiet_lightning()
@@ -73,6 +79,7 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
     callbacks = [ConfigInCheckpoint(config), *(instantiate(node) for node in config.callbacks.values())]
     trainer = instantiate(
         config.trainer,
+        strategy=strategy(config.trainer.devices * config.trainer.num_nodes),
         precision=precision(config.trainer.precision),
         callbacks=callbacks,
         logger=instantiate(config.logger),
@@ -81,13 +88,49 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
     return model, data, trainer
 
 
+def check_shares(config: DictConfig) -> None:
+    """Check that the work can be shared out among the processes that train together.
+
+    Raises:
+        UserError: if a size is not a multiple of their number, or a sweep would start them.
+    """
+    count = config.trainer.devices * config.trainer.num_nodes
+    if count == 1:
+        return
+    if HydraConfig.get().mode == RunMode.MULTIRUN:
+        raise UserError(
+            f"trainer.devices: got {count} processes in a sweep, whose members train on one device each; start each "
+            "member by itself, or sweep with trainer.devices=1"
+        )
+    sizes = {name: config.scale[name] for name in ("parallel_scenes", "batch_size", "buffer_size")}
+    for name, size in sizes.items():
+        if size % count:
+            raise UserError(
+                f"scale.{name}: got {size} for {count} processes, expected a multiple of {count}; change it or "
+                "trainer.devices"
+            )
+    if config.scale.homes.train < count:
+        raise UserError(
+            f"scale.homes.train: got {config.scale.homes.train} for {count} processes, expected a home for each"
+        )
+
+
+def strategy(processes: int) -> Strategy | str:
+    """How processes train together: Lightning's DDP, whose others wait while the first one evaluates."""
+    from lightning.pytorch.strategies import DDPStrategy
+
+    return DDPStrategy(timeout=timedelta(days=1)) if processes > 1 else "auto"
+
+
 def quiet_lightning() -> None:
     """Leave out what Lightning tells about itself; its warnings stay."""
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for name in ("lightning.pytorch", "lightning.fabric.utilities.distributed"):
+        logging.getLogger(name).setLevel(logging.WARNING)
     warnings.filterwarnings("ignore", category=FutureWarning, module=r"lightning\.")
     warnings.filterwarnings(
         "ignore", message="Checkpoint directory .* exists and is not empty"
     )  # as it should on resume
+    warnings.filterwarnings("ignore", message=".*sync_dist=True.*")  # these values are the same on all ranks
 
 
 def check_accelerator(asked: str) -> None:

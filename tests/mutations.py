@@ -449,6 +449,27 @@ MUTATIONS = [
         "tests/units/test_loss.py",
     ),
     Mutation(
+        "loss: parts weighed by themselves",
+        "units/loss.py",
+        "own = batch_counts(label, neighbourhood) if counts is None else counts.clone()",
+        "own = batch_counts(label, neighbourhood)",
+        "tests/units/test_loss.py",
+    ),
+    Mutation(
+        "accumulation: the mean of the parts' losses",
+        "units/training.py",
+        "loss = loss * self.trainer.accumulate_grad_batches",
+        "loss = loss * 1",
+        "tests/units/test_training.py",
+    ),
+    Mutation(
+        "ranks: all collect in the same scenes",
+        "data/datamodule.py",
+        'scenes("train")[rank() :: ranks()]',
+        'scenes("train")[:: ranks()]',
+        "tests/test_distributed.py",
+    ),
+    Mutation(
         "loss: sum over the batch",
         "units/loss.py",
         "return total * ranks() / views[0], Weights",

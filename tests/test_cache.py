@@ -61,7 +61,7 @@ def test_built_once_and_the_same_ever_after(tmp_path: Path) -> None:
     )
 )
 def test_any_array_comes_back(array: np.ndarray) -> None:
-    back = module._decode(module._encode({"a": array, "b": array.T}))
+    back = module.decode(module.encode({"a": array, "b": array.T}))
     assert same(back, {"a": array, "b": array.T})
 
 

@@ -16,7 +16,10 @@ def test_the_config_reference_is_up_to_date() -> None:
 
 @pytest.mark.parametrize(
     "page",
-    ["README.md", "docs/conventions.md", "docs/ground-truth.md", "docs/robot.md", "docs/scene-sources.md"],
+    [
+        *("README.md", "docs/conventions.md", "docs/ground-truth.md", "docs/reliability.md", "docs/robot.md"),
+        "docs/scene-sources.md",
+    ],
 )
 def test_links_lead_somewhere(page: str) -> None:
     path = ROOT / page

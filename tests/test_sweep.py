@@ -147,7 +147,7 @@ def leaves(node: object, name: str = "") -> dict[str, object]:
 @pytest.mark.slow
 def test_six_runs_differ_only_in_what_was_swept(command: Command, tmp_path: Path) -> None:
     """Three values of delta by two of w_alpha max, and TensorBoard's HParams tab shows them with their figures."""
-    values = ["kernels.imaginable=0.8,1.0,1.4", "model.module.alpha_max=10.0,30.0"]
+    values = ["kernels.imaginable=0.8,1.0,1.4", "model.loss.alpha_max=10.0,30.0"]
     done = command("train", "-m", *JOB, *values, timeout=1800)
     assert done.returncode == 0, done.stderr
     sweep = only(tmp_path / "outputs" / "chair_unet" / "multirun_*")
@@ -156,18 +156,19 @@ def test_six_runs_differ_only_in_what_was_swept(command: Command, tmp_path: Path
     configs = [leaves(yaml.safe_load((sweep / str(n) / "config.yaml").read_text())) for n in range(6)]
     differing = {key for key in configs[0] if len({str(config[key]) for config in configs}) > 1}
     assert {key for key in differing if str(sweep.name) not in str(configs[0][key])} == {
-        ".kernels.imaginable", ".data.module.imaginable", ".model.module.alpha_max", ".choices",
+        ".kernels.imaginable", ".data.module.imaginable", ".model.loss.alpha_max", ".model.module.loss.alpha_max",
+        ".choices",
     }  # fmt: skip
-    pairs = {(config[".kernels.imaginable"], config[".model.module.alpha_max"]) for config in configs}
+    pairs = {(config[".kernels.imaginable"], config[".model.loss.alpha_max"]) for config in configs}
     assert pairs == {(delta, alpha) for delta in (0.8, 1.0, 1.4) for alpha in (10.0, 30.0)}
-    assert {(line["kernels.imaginable"], line["model.module.alpha_max"]) for line in swept(sweep)} == {
+    assert {(line["kernels.imaginable"], line["model.loss.alpha_max"]) for line in swept(sweep)} == {
         (str(delta), str(alpha)) for delta, alpha in pairs
     }
     shares = [line for line in done.stderr.splitlines() if line.startswith("Time: ")]
     totals = [float(line.rpartition("total ")[2].split()[0]) for line in shares]
     assert len(totals) == 6 and sum(totals) < 1.2 * max(totals) * 6 and totals[5] < 3 * totals[0]
     groups = hparams_of(sweep)
-    assert {(g["kernels.imaginable"], g["model.module.alpha_max"]) for g in groups} == pairs
+    assert {(g["kernels.imaginable"], g["model.loss.alpha_max"]) for g in groups} == pairs
     assert all("test/iou" in g and "global/chair/imagination/3m" in g for g in groups)
 
 

@@ -12,9 +12,11 @@ from torch.optim import Optimizer
 from torchmetrics.classification import MulticlassConfusionMatrix
 
 from imagination.baselines.hrnet import at_size
+from imagination.ranks import ranks
 
 Batch = Mapping[str, Tensor]
-"""rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for none, else the category's place + 1."""
+"""rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for none, else the category's place + 1; views int64 () where
+it is a part of a batch of so many."""
 
 
 class SegmentationTraining(LightningModule):
@@ -54,9 +56,13 @@ class SegmentationTraining(LightningModule):
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         loss, _ = self._compare(batch)
+        if "views" in batch:  # Lightning takes the mean over parts, which may differ by a view
+            loss = loss * len(batch["rgb"]) * self.trainer.accumulate_grad_batches / batch["views"]
         values = {"loss": loss, "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"]}
         self.log_dict(
-            {f"train/{name}": value for name, value in values.items()}, batch_size=len(batch["rgb"])
+            {f"train/{name}": value for name, value in values.items()},
+            batch_size=len(batch["rgb"]),
+            sync_dist=True,
         )
         return loss
 
@@ -64,7 +70,8 @@ class SegmentationTraining(LightningModule):
         self._batch_start = perf_counter()
 
     def on_train_batch_end(self, outputs: object, batch: Batch, index: int) -> None:
-        self.log("train/samples_per_second", len(batch["rgb"]) / (perf_counter() - self._batch_start))
+        samples = len(batch["rgb"]) * ranks()
+        self.log("train/samples_per_second", samples / (perf_counter() - self._batch_start))
 
     def validation_step(self, batch: Batch, index: int) -> None:
         self._score(batch, "val", self.val_scores)
@@ -85,7 +92,8 @@ class SegmentationTraining(LightningModule):
         """The loss, and the likeliest class of each pixel."""
         truth = batch["segmentation"].long()
         logits = at_size(self.network(batch["rgb"]), *truth.shape[-2:])
-        return cross_entropy(logits, truth), logits.argmax(dim=1)
+        total = cross_entropy(logits, truth, reduction="sum")
+        return total / max(1, truth.numel()), logits.argmax(dim=1)  # a process may have got no view
 
     def _score(self, batch: Batch, stage: str, scores: MulticlassConfusionMatrix) -> None:
         loss, predicted = self._compare(batch)

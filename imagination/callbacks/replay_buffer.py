@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 
 import numpy as np
+import torch
 from lightning import Callback, LightningModule, Trainer
 
 from imagination.data.augmentation import mirrored
@@ -11,6 +12,8 @@ from imagination.data.datamodule import SceneData
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.errors import UserError, check_range
 from imagination.progress import progress
+from imagination.ranks import rank, ranks
+from imagination.units.loss import batch_counts
 from imagination.views.collector import Collector, Stream, Views
 
 
@@ -57,6 +60,12 @@ class ReplayBufferCallback(Callback):
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
+        if ranks() > 1:  # each keeps its part
+            self.buffer = ReplayBuffer(self.buffer.size // ranks(), self.buffer.aggregation_factor)
+        share = data.batch_size // ranks()
+        check_range(
+            "scale.accumulate", trainer.accumulate_grad_batches, 1, share, "parts of a process's batch"
+        )
         data.rounds = _Rounds(self, data, trainer)
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -68,7 +77,7 @@ class ReplayBufferCallback(Callback):
             self.buffer.settle()
         elif trainer.current_epoch + 1 < min(trainer.max_epochs or 0, self.collecting_rounds):
             self._start(collector, newest + 1)  # renders while this round trains
-        collected = (newest + 1) * collector.views_per_collection
+        collected = (newest + 1) * collector.views_per_collection * ranks()
         pl_module.log("data/collected_views", float(collected))
         pl_module.log(
             "data/draws_per_view",
@@ -99,12 +108,29 @@ class _Rounds:
         self.callback, self.data, self.trainer = callback, data, trainer
 
     def __len__(self) -> int:
-        return self.callback.update_batches
+        return self.callback.update_batches * self.trainer.accumulate_grad_batches
 
     def __iter__(self) -> Iterator[Batch]:
-        for number in range(len(self)):
-            seed = [self.data.seed, Stream.BATCHES, self.trainer.current_epoch, number]
-            rng = np.random.default_rng(seed)
-            views = self.callback.buffer.draw(self.data.batch_size, rng)
-            which = rng.random(self.data.batch_size) < self.callback.mirrored_share
-            yield self.data.assemble(mirrored(views, which))
+        share, count = self.data.batch_size // ranks(), self.trainer.accumulate_grad_batches
+        for number in range(self.callback.update_batches):
+            place = number * ranks() + rank()
+            rng = np.random.default_rng([self.data.seed, Stream.BATCHES, self.trainer.current_epoch, place])
+            views = self.callback.buffer.draw(share, rng)
+            which = rng.random(share) < self.callback.mirrored_share
+            yield from parts(self.data.assemble(mirrored(views, which)), count)
+
+
+def parts(batch: Batch, count: int) -> Iterator[Batch]:
+    """A batch in `count` parts for gradient accumulation, each with what weighs its loss as a part of the whole.
+
+    Maps get the counts of `batch_counts`, first-person images the number of views.
+    """
+    if count == 1:
+        yield batch
+        return
+    if "label" in batch:
+        whole = {"counts": batch_counts(batch["label"], batch["neighbourhood"])}
+    else:
+        whole = {"views": torch.tensor(len(batch["rgb"]))}
+    for first in range(count):
+        yield {**{name: values[first::count] for name, values in batch.items()}, **whole}

@@ -6,6 +6,7 @@ from typing import Any
 from lightning import Callback, LightningModule, Trainer
 
 from imagination.data.batches import Batch
+from imagination.ranks import ranks
 
 
 class TrainingRecord(Callback):
@@ -21,7 +22,7 @@ class TrainingRecord(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int
     ) -> None:
-        self._counts["samples"] += len(batch["rgb"])
+        self._counts["samples"] += len(batch["rgb"]) * ranks()
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._counts["best"] = max(self._counts["best"], float(trainer.callback_metrics["val/iou"]))

@@ -11,6 +11,7 @@ from imagination.data.batches import FIELDS, Batch, assemble, assemble_images
 from imagination.errors import UserError, check_choice, check_range
 from imagination.geometry.morphology import kernel_cells
 from imagination.progress import progress
+from imagination.ranks import begun_elsewhere, rank, ranks
 from imagination.scenes.scene import Split
 from imagination.views.collector import Collector, PoseSampler, Stream, Views, concatenate, look
 from imagination.views.pool import ScenePool
@@ -32,7 +33,7 @@ class SceneData(LightningDataModule):
         neighbourhood: kernel epsilon, metres.
         seed: of the run.
         parallel_scenes: scenes looked at in one collection.
-        batch_size: views in a batch.
+        batch_size: views in a batch, of all processes that train together.
         held_out_views: number of views for validation and test.
         workers: processes that render; 0 renders in the main process.
         predicts: what batches are for: networks of egocentric "maps", or of first-person "images".
@@ -100,7 +101,7 @@ class SceneData(LightningDataModule):
         """
         if split in self._surveyed:
             return
-        names = self.observer.source.scenes(split)
+        names = begun_elsewhere(self.observer.source.scenes(split))
         tasks = [self.pool.submit(count_truth, name) for name in names]
         counts = np.array([task.result() for task in progress(tasks, f"homes and ground truth ({split})")])
         for name, layer in zip(self.unit_categories, self.layers, strict=True):
@@ -112,9 +113,13 @@ class SceneData(LightningDataModule):
         self._surveyed.add(split)
 
     def collector(self, steps: int) -> Collector:
-        """The collector of training views; a collection takes `steps` steps."""
-        scenes = self.observer.source.scenes("train")
-        return Collector(self.pool, scenes, self.sampler, self.seed, self.parallel_scenes, steps)
+        """The collector of training views; a collection takes `steps` steps.
+
+        Of several processes that train together, each has scenes of its own and its part of the parallel ones.
+        """
+        scenes = self.observer.source.scenes("train")[rank() :: ranks()]
+        share = self.parallel_scenes // ranks()
+        return Collector(self.pool, scenes, self.sampler, self.seed, share, steps, first_slot=rank() * share)
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -145,8 +150,11 @@ class SceneData(LightningDataModule):
             self._held_out[split] = self._look_at(split)
         views = self._held_out[split]
         starts = range(0, len(views["pose"]), self.batch_size)
-        batches = [
-            self.assemble({name: v[at : at + self.batch_size] for name, v in views.items()}) for at in starts
+        batches = [  # of each batch, processes that train together take every so manieth view, none twice
+            self.assemble(
+                {name: v[at : at + self.batch_size][rank() :: ranks()] for name, v in views.items()}
+            )
+            for at in starts
         ]
         return DataLoader(batches, batch_size=None)  # type: ignore[arg-type]  # a list is a map-style data set
 

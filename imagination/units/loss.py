@@ -1,14 +1,15 @@
 """Losses on logits: the paper's weighted binary cross-entropy (section III-B), and cross-entropy with batch dice."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int64, UInt8
-from torch import Tensor, distributed
+from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from imagination.errors import check_range
+from imagination.ranks import ranks, sum_over_ranks
 
 
 class Result(NamedTuple):
@@ -25,15 +26,22 @@ class Result(NamedTuple):
 
 @runtime_checkable
 class Loss(Protocol):
-    """How far imagined maps are from what they should be; categories add up."""
+    """How far imagined maps are from what they should be; categories add up.
+
+    Attributes:
+        in_parts: whether the loss of a batch is the sum of its parts', given the counts of the whole.
+    """
+
+    in_parts: ClassVar[bool]
 
     def __call__(
         self,
         logits: Float[Tensor, "b c v v"],
         label: UInt8[Tensor, "b c v v"],
         neighbourhood: UInt8[Tensor, "b c v v"],
+        counts: Int64[Tensor, "3 c"] | None = None,
     ) -> Result:
-        """The loss of a batch; arguments as of `imagination_loss`."""
+        """The loss of a batch or, with `counts`, of a part of one; arguments as of `imagination_loss`."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,7 @@ class WeightedBCE:
         UserError: if a cap is out of range.
     """
 
+    in_parts = True
     alpha_max: float = 30.0
     gamma_max: float = 10.0
 
@@ -59,8 +68,9 @@ class WeightedBCE:
         logits: Float[Tensor, "b c v v"],
         label: UInt8[Tensor, "b c v v"],
         neighbourhood: UInt8[Tensor, "b c v v"],
+        counts: Int64[Tensor, "3 c"] | None = None,
     ) -> Result:
-        loss, weights = imagination_loss(logits, label, neighbourhood, self.alpha_max, self.gamma_max)
+        loss, weights = imagination_loss(logits, label, neighbourhood, self.alpha_max, self.gamma_max, counts)
         return Result(loss, {"w_alpha": weights.alpha.mean(), "w_gamma": weights.gamma.mean()})
 
 
@@ -74,14 +84,20 @@ class BCEDice:
 
     (Milletari et al. 2016, V-Net, with the squares in the denominator left out.) The batch is taken as one picture,
     since a single view often has no label at all. The ones keep a batch without any label from having no gradient.
+
+    Its gradient at one view depends on what is imagined in all others, so it cannot be computed in parts.
     """
+
+    in_parts = False
 
     def __call__(
         self,
         logits: Float[Tensor, "b c v v"],
         label: UInt8[Tensor, "b c v v"],
         neighbourhood: UInt8[Tensor, "b c v v"],
+        counts: Int64[Tensor, "3 c"] | None = None,
     ) -> Result:
+        assert counts is None, "dice has no parts"
         target = (label > 0).float()
         views = sum_over_ranks(torch.tensor(float(len(label)), device=label.device))
         total = binary_cross_entropy_with_logits(logits.float(), target, reduction="sum")
@@ -114,6 +130,7 @@ def imagination_loss(
     neighbourhood: UInt8[Tensor, "b c v v"],
     alpha_max: float = 30.0,
     gamma_max: float = 10.0,
+    counts: Int64[Tensor, "3 c"] | None = None,
 ) -> tuple[Float[Tensor, ""], Weights]:
     """Weighted cross-entropy between the imagined map and V_label.
 
@@ -139,16 +156,16 @@ def imagination_loss(
         label: V_label, 0 or 1.
         neighbourhood: M*_seen made from the truth, 0 or 1.
         alpha_max, gamma_max: caps of the weights; 1 switches a weight off.
+        counts: of the whole batch, where this is a part of it; the parts' losses then add up to the batch's.
 
     Returns:
         The loss, whose gradients average over ranks to those of the whole batch, and the weights.
     """
     positive = label > 0
     around = (neighbourhood > 0) & ~positive
-    batch, categories, rows, columns = label.shape
-    views = label.new_full((categories,), batch, dtype=torch.long)
-    views, positives, arounds = sum_over_ranks(torch.stack([views, count(positive), count(around)])).unbind()
-    cells = views * rows * columns
+    own = batch_counts(label, neighbourhood) if counts is None else counts.clone()
+    views, positives, arounds = sum_over_ranks(own).unbind()
+    cells = views * label.shape[-2] * label.shape[-1]
     w_alpha = (cells / (positives + 1)).clamp(max=alpha_max)
     w_gamma = (cells / (arounds + 1)).clamp(max=gamma_max)
     weight = (w_alpha - 1).view(-1, 1, 1) * positive + (w_gamma - 1).view(-1, 1, 1) * around + 1
@@ -157,21 +174,18 @@ def imagination_loss(
     return total * ranks() / views[0], Weights(w_alpha, w_gamma)
 
 
+def batch_counts(
+    label: UInt8[Tensor, "b c v v"], neighbourhood: UInt8[Tensor, "b c v v"]
+) -> Int64[Tensor, "3 c"]:
+    """What the weights are made of: views, cells of the label and cells around it, of each category."""
+    positive = label > 0
+    views = label.new_full((label.shape[1],), len(label), dtype=torch.long)
+    return torch.stack([views, count(positive), count((neighbourhood > 0) & ~positive)])
+
+
 def count(mask: Bool[Tensor, "b c v v"]) -> Int64[Tensor, " c"]:
     """Cells of a mask over the whole batch, by category."""
     return mask.sum(dim=(0, 2, 3))
-
-
-def ranks() -> int:
-    """How many processes train together."""
-    return distributed.get_world_size() if distributed.is_available() and distributed.is_initialized() else 1
-
-
-def sum_over_ranks(counts: Tensor) -> Tensor:
-    """The sum of a tensor without gradients over all processes that train together."""
-    if ranks() > 1:
-        distributed.all_reduce(counts)
-    return counts
 
 
 def with_other_ranks(sums: Tensor) -> Tensor:

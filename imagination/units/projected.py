@@ -48,7 +48,6 @@ class ProjectedUnit(Unit):
         self.projection = Projection(camera, ego, max_height)
         self.backbone = backbone(in_channels=2 + width + 1, image_channels=0)
         self.head = prediction_head(self.backbone.width, len(categories))
-        self.to(memory_format=torch.channels_last)
 
     def forward(
         self,

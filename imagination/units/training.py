@@ -11,16 +11,18 @@ from torch import Tensor
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
-from imagination.errors import check_range
+from imagination.errors import UserError, check_range
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import kernel_cells
-from imagination.units.loss import Loss, ranks
+from imagination.ranks import ranks, sum_over_ranks
+from imagination.units.loss import Loss
 from imagination.units.metrics import THRESHOLDS, EgoScores, best_thresholds, named_scores
 from imagination.units.unit import Unit
 
 Batch = Mapping[str, Tensor]
 """rgb uint8 (B, 3, H, W); depth float16 (B, 1, H, W), metres; occupied and seen uint8 (B, 1, V, V); label and
-neighbourhood (M*_seen made from the truth) uint8 (B, C, V, V). Further entries are left alone."""
+neighbourhood (M*_seen made from the truth) uint8 (B, C, V, V); counts int64 (3, C) where it is a part of a batch, see
+`batch_counts`. Further entries are left alone."""
 
 
 class UnitTraining(LightningModule):
@@ -34,9 +36,11 @@ class UnitTraining(LightningModule):
         optimizer: makes the optimiser, given parameters.
         scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
         valid_threshold: τ_valid, for M*_seen after prediction.
+        channels_last: keep images and weights channels-last in memory.
+        compile: train with torch.compile, which needs a C++ compiler and some minutes.
 
     Raises:
-        UserError: if the threshold is out of range.
+        UserError: if the threshold is out of range; where training begins, if a loss without parts is to accumulate.
     """
 
     chosen: Tensor
@@ -50,9 +54,12 @@ class UnitTraining(LightningModule):
         optimizer: Callable[..., Optimizer],
         scheduler: Callable[..., LRScheduler],
         valid_threshold: float = 0.5,
+        channels_last: bool = True,
+        compile: bool = False,
     ) -> None:
         super().__init__()
-        self.unit = unit
+        self.unit = unit.to(memory_format=torch.channels_last) if channels_last else unit
+        self.compiled = compile
         self.loss = loss
         self.categories: list[str] = list(unit.categories)
         self.optimizer = optimizer
@@ -80,8 +87,21 @@ class UnitTraining(LightningModule):
         self.train(training)
         return probabilities
 
+    def setup(self, stage: str) -> None:
+        if stage != "fit":
+            return
+        if (count := self.trainer.accumulate_grad_batches) > 1 and not self.loss.in_parts:
+            raise UserError(
+                f"scale.accumulate: got {count}, expected 1 for the loss {type(self.loss).__name__}, which compares "
+                "a batch as a whole; or take model/loss=weighted_bce"
+            )
+        if self.compiled:
+            self.unit.compile()
+
     def training_step(self, batch: Batch, index: int) -> Tensor:
-        loss, parts = self.loss(self(batch), batch["label"], batch["neighbourhood"])
+        loss, parts = self.loss(self(batch), batch["label"], batch["neighbourhood"], batch.get("counts"))
+        # Lightning takes the mean over the parts of an accumulated batch, whose losses add up
+        loss = loss * self.trainer.accumulate_grad_batches
         values = {
             "loss": loss,
             **parts,
@@ -89,7 +109,9 @@ class UnitTraining(LightningModule):
             "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"],
         }
         self.log_dict(
-            {f"train/{name}": value for name, value in values.items()}, batch_size=len(batch["label"])
+            {f"train/{name}": value for name, value in values.items()},
+            batch_size=len(batch["label"]),
+            sync_dist=True,
         )
         return loss
 
@@ -128,7 +150,9 @@ class UnitTraining(LightningModule):
     def _score(self, batch: Batch, stage: str, scores: EgoScores) -> None:
         logits = self(batch).float()
         loss, _ = self.loss(logits, batch["label"], batch["neighbourhood"])
-        self.log(f"{stage}/loss", loss, batch_size=len(logits), sync_dist=True)
+        # every rank counts for as many views as all have: its loss is already scaled to its part of them
+        views = sum_over_ranks(torch.tensor(len(logits), device=logits.device))
+        self.log(f"{stage}/loss", loss, batch_size=int(views), sync_dist=True)
         scores.update(logits.sigmoid(), batch["label"], batch["seen"])
 
     def _log_scores(self, stage: str, scores: EgoScores) -> None:

@@ -82,7 +82,6 @@ class ImaginationUnit(Unit):
         self.bands = HeightBands(camera, ego, heights, height_jitter)
         self.backbone = backbone(in_channels=2 + self.bands.count, image_channels=encoder.channels)
         self.head = prediction_head(self.backbone.width, len(categories))
-        self.to(memory_format=torch.channels_last)
 
     def forward(
         self,

@@ -30,6 +30,7 @@ class Stream(IntEnum):
     BATCHES = 3
     VIEWPOINTS = 4
     REGISTRATION_ORDER = 5
+    SHARDS = 6
 
 
 PoseSampler = Callable[[Scene, int, np.random.Generator], list[Pose]]
@@ -72,6 +73,7 @@ class Collector:
         seed: of the run.
         parallel_scenes: scenes looked at in one collection.
         steps: looks in each of them.
+        first_slot: number of the first of these scenes among those of all processes that collect together.
     """
 
     pool: ScenePool
@@ -80,6 +82,7 @@ class Collector:
     seed: int
     parallel_scenes: int
     steps: int
+    first_slot: int = 0
 
     def __post_init__(self) -> None:
         check_range("parallel_scenes", self.parallel_scenes, 1, 4096)
@@ -104,7 +107,7 @@ class Collector:
             "views": {scene: observer.view_key(scene) for scene in sorted(set(slots))},
             "slots": slots,
             "sampler": plain(self.sampler),
-            "seed": [self.seed, index],
+            "seed": [self.seed, index, self.first_slot],
             "steps": self.steps,
         }
         if (kept := observer.cache.load("views", key)) is not None:
@@ -115,7 +118,7 @@ class Collector:
             self.pool.submit(
                 look, scene, self.sampler, (self.seed, Stream.TRAINING_VIEWS, index, slot), self.steps
             )
-            for slot, scene in enumerate(slots)
+            for slot, scene in enumerate(slots, start=self.first_slot)
         ]
 
         def wait() -> Views:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from imagination.callbacks.replay_buffer import parts
 from imagination.units.loss import BCEDice, WeightedBCE, imagination_loss
 from tests.units.batches import random_batch
 
@@ -110,6 +111,30 @@ def test_certain_and_wrong_stays_finite() -> None:
     loss, _ = imagination_loss(logits, label, neighbourhood)
     loss.backward()
     assert loss.isfinite() and logits.grad is not None and logits.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_parts_of_a_batch_add_up_to_it(count: int) -> None:
+    """Gradient accumulation: the weights of each part are those of the whole batch, however label is spread over it."""
+    batch = random_batch(views=7, cells=9, categories=2)
+    batch["label"][2:] = 0
+    batch["logits"] = torch.randn(7, 2, 9, 9)
+    logits = batch.pop("logits").requires_grad_()
+    whole, weights = imagination_loss(logits, batch["label"], batch["neighbourhood"])
+    (expected,) = torch.autograd.grad(whole, logits)
+    total, gradient = torch.zeros(()), torch.zeros_like(logits)
+    for part in parts({**batch, "logits": logits}, count):
+        loss, part_weights = imagination_loss(
+            part["logits"], part["label"], part["neighbourhood"], counts=part["counts"]
+        )
+        torch.testing.assert_close(part_weights, weights)
+        total = total + loss.detach()
+        gradient = gradient + torch.autograd.grad(loss, logits)[0]
+    torch.testing.assert_close(total, whole.detach())
+    torch.testing.assert_close(gradient, expected)
+    first = next(parts(batch, count))
+    _, own = imagination_loss(torch.zeros(first["label"].shape), first["label"], first["neighbourhood"])
+    assert not torch.allclose(own.alpha, weights.alpha)  # a part's own weights would be others
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
+from imagination.callbacks.replay_buffer import parts
 from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
@@ -16,7 +17,7 @@ from imagination.units.encoders import TimmEncoder
 from imagination.units.loss import WeightedBCE, imagination_loss
 from imagination.units.projected import ProjectedUnit
 from imagination.units.training import UnitTraining
-from imagination.units.unit import ImaginationUnit
+from imagination.units.unit import ImaginationUnit, Unit
 from tests.units.batches import random_batch
 
 EGO = EgoGrid(0.12, 17)
@@ -62,6 +63,37 @@ def test_a_short_run_logs_what_a_user_watches() -> None:
     for stage, logged in (("val", metrics), ("test", trainer.callback_metrics)):
         for name in ("loss", "iou", "iou_seen", "iou_unseen", "precision", "recall"):
             assert f"{stage}/{name}" in logged
+
+
+class PlainUnit(Unit):
+    """Without batch normalisation, whose statistics are those of a part."""
+
+    def __init__(self) -> None:
+        super().__init__(["chair"])
+        self.layer = torch.nn.Conv2d(2, 1, 3, padding=1)
+
+    def forward(self, rgb: Tensor, depth: Tensor, occupied: Tensor, seen: Tensor) -> Tensor:
+        return self.layer(torch.cat([occupied, seen], dim=1).float())
+
+
+def test_an_accumulated_batch_trains_as_a_whole_one() -> None:
+    batches = [random_batch(6, 32, 17, seed=seed) for seed in range(3)]
+    batches[0]["label"][1:] = 0
+    weights = []
+    for count in (1, 3):
+        torch.manual_seed(0)
+        module = training(ImaginationUnit)
+        module.unit = PlainUnit()
+        trainer = lightning.Trainer(
+            max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
+            enable_model_summary=False, accumulate_grad_batches=count,
+        )  # fmt: skip
+        trainer.fit(
+            module, DataLoader([part for batch in batches for part in parts(batch, count)], batch_size=None)
+        )
+        assert trainer.global_step == 3
+        weights.append(module.unit.layer.weight.detach().clone())
+    torch.testing.assert_close(*weights, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", [ImaginationUnit, ProjectedUnit])

@@ -1,0 +1,162 @@
+"""A training step of each unit at desk scale: samples and FLOP a second, beside a plain matrix product's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+
+import numpy as np
+import torch
+from hydra.utils import instantiate
+from torch.profiler import ProfilerActivity, profile
+from torch.utils.flop_counter import FlopCounterMode
+
+from benchmarks.buffer import views_of_a_home
+from benchmarks.measure import Figure, medians
+from benchmarks.subjects import SEED, config
+from imagination.data.batches import Batch, assemble
+from imagination.data.replay_buffer import ReplayBuffer
+from imagination.geometry.morphology import kernel_cells
+from imagination.train import precision
+from imagination.units.loss import imagination_loss
+from imagination.units.training import UnitTraining
+
+UNITS = {
+    "unit, resnet18, unet (default)": [],
+    "unit, resnet18, fpn": ["model/backbone=fpn"],
+    "projected, resnet18, unet": ["model=projected"],
+}
+SHARES = {"32-true": 0.45, "bf16-mixed": 0.25}
+"""Of a matrix product's FLOP/s that the default unit's step should reach."""
+
+SIDE = 2048
+"""Of the matrices multiplied."""
+
+OPERATORS: list[tuple[str, float]] = []
+"""Share of the default unit's step that each operator takes, filled in by `run`."""
+
+
+def run(folder: str) -> list[Figure]:
+    """All figures."""
+    batch, drawing = batches(folder)
+    kinds = ["32-true"] + (["bf16-mixed"] if precision("auto") == "bf16-mixed" else [])
+    figures = []
+    for name, choices in UNITS.items():
+        for kind in kinds:
+            default = not choices
+            step, flops = training_step(folder, choices, kind, batch)
+            times = medians({"step": step, "product": product(kind)}, 10.0 if default else 5.0, 3)
+            limit = 2 * SIDE**3 / times["product"] / 1e9
+            what = f"training step, {name}, {kind}, batch {len(batch['rgb'])}"
+            figures.append(
+                Figure(
+                    f"{what}: {len(batch['rgb']) / times['step']:.0f} samples/s",
+                    flops / times["step"] / 1e9,
+                    "GFLOP/s",
+                    limit,
+                    f"matrix product of {SIDE}², same type",
+                    SHARES[kind] if default else None,
+                    of_limit=True,
+                    note=f"{flops / len(batch['rgb']) / 1e9:.2f} GFLOP a sample",
+                )
+            )
+            if default:
+                data = medians({"draw": drawing}, 1.0)["draw"]
+                figures.append(
+                    Figure(
+                        f"share of a step that waits for data, {kind}",
+                        data / (data + times["step"]),
+                        "of the time",
+                        target=0.05,
+                        at_most=True,
+                        note="a batch is drawn and assembled in the main process between steps",
+                    )
+                )
+                if kind == kinds[-1]:
+                    figures += engineering(folder, kind, batch, times["step"])
+                    OPERATORS[:] = operators(step)
+    return figures
+
+
+def batches(folder: str) -> tuple[Batch, Callable[[], Batch]]:
+    """A batch at desk scale, and what makes one."""
+    desk = config(folder)
+    kernels = [
+        kernel_cells(desk.kernels[name], desk.scale.resolution) for name in ("imaginable", "neighbourhood")
+    ]
+    buffer = ReplayBuffer(2000, desk.aggregation_factor)
+    for _ in range(25):
+        buffer.insert(views_of_a_home(folder))
+    rng = np.random.default_rng(SEED)
+
+    def draw() -> Batch:
+        return assemble(buffer.draw(desk.scale.batch_size, rng), [0], *kernels)
+
+    return draw(), draw
+
+
+def training_step(
+    folder: str,
+    choices: list[str],
+    kind: str,
+    batch: Batch,
+    prepare: Callable[[UnitTraining], object] = lambda module: None,
+) -> tuple[Callable[[], None], int]:
+    """One step (forward, loss, backward, Adam) as a function, and the FLOP of its products and convolutions."""
+    torch.manual_seed(SEED)
+    module: UnitTraining = instantiate(config(folder, *choices).model.module)
+    prepare(module)
+    optimizer = torch.optim.Adam(module.parameters())
+
+    def casting() -> AbstractContextManager[object]:
+        return torch.autocast("cpu", torch.bfloat16) if kind.startswith("bf16") else nullcontext()
+
+    def step() -> None:
+        with casting():
+            loss, _ = imagination_loss(module(batch), batch["label"], batch["neighbourhood"])
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+
+    with FlopCounterMode(display=False) as counter:
+        step()
+    return step, counter.get_total_flops()
+
+
+def engineering(folder: str, kind: str, batch: Batch, default: float) -> list[Figure]:
+    """What memory formats and torch.compile change of the default unit's step."""
+
+    def planar(module: UnitTraining) -> None:
+        module.unit.to(memory_format=torch.contiguous_format)
+
+    ways: dict[str, Callable[[UnitTraining], object]] = {"contiguous instead of channels-last": planar}
+    ways["torch.compile"] = lambda module: module.unit.compile()
+    figures = []
+    for name, prepare in ways.items():
+        step, _ = training_step(folder, [], kind, batch, prepare)
+        seconds = medians({"step": step}, 4.0, 3)["step"]
+        size = len(batch["rgb"])
+        figures.append(
+            Figure(
+                f"the same with {name}, {kind}", size / seconds, "samples/s", size / default, "as configured"
+            )
+        )
+    return figures
+
+
+def product(kind: str) -> Callable[[], object]:
+    """A plain matrix product of the type that the step computes in."""
+    dtype = torch.bfloat16 if kind.startswith("bf16") else torch.float32
+    one, other = (torch.randn(SIDE, SIDE).to(dtype) for _ in range(2))
+    return lambda: one @ other
+
+
+def operators(step: Callable[[], None], most: int = 12) -> list[tuple[str, float]]:
+    """Share of a step's time by operator, longest first."""
+    with profile(activities=[ProfilerActivity.CPU]) as recorded:
+        for _ in range(3):
+            step()
+    rows = recorded.key_averages()
+    total = sum(row.self_cpu_time_total for row in rows)
+    longest = sorted(rows, key=lambda row: -row.self_cpu_time_total)[:most]
+    return [(row.key, row.self_cpu_time_total / total) for row in longest]

@@ -1,0 +1,340 @@
+"""Views of whole corpora as litdata shards: written home by home, streamed into training from a folder or a URL.
+
+An item is a group of views of one home, encoded as in the cache; a home's items make one chunk. Item 0 describes the
+corpus: what its views depend on, and how many items each home has. Homes are written whole or not at all, each with a
+record beside its chunk, so that any number of jobs may write to one folder and go on where another stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from imagination.cache import DamagedError, decode, encode
+from imagination.data.datamodule import SceneData
+from imagination.errors import UserError, check_range, require_extra
+from imagination.ranks import rank, ranks
+from imagination.runs import replacing, write_text
+from imagination.views.collector import PoseSampler, Stream, Views, concatenate, look
+from imagination.views.view import Observer, plain
+
+INDEX = "index.json"
+"""Where litdata looks for the list of chunks."""
+
+ABOUT = "chunk-about.bin"
+"""The chunk with the description alone."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is written of each home.
+
+    Attributes:
+        sampler: draws poses.
+        seed: of poses and sensor noise.
+        views: of each home.
+        group: views in an item.
+    """
+
+    sampler: PoseSampler
+    seed: int
+    views: int
+    group: int
+
+    def __post_init__(self) -> None:
+        check_range("views", self.views, 1, 10_000_000, "views of each home")
+        if self.views % self.group:
+            raise UserError(
+                f"views: got {self.views} of each home, expected a multiple of scale.update_interval = {self.group}"
+            )
+
+    def key(self, observer: Observer, scene: str) -> str:
+        """Hash of everything that a home's views depend on."""
+        whole = {"views": observer.view_key(scene), "recipe": plain(self)}
+        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
+
+
+def written(folder: Path, observer: Observer, scene: str, recipe: Recipe) -> bool:
+    """Whether a home's chunk is there, of just these views."""
+    record = _record(folder, scene)
+    if not record.is_file() or not (folder / _chunk(scene)).is_file():
+        return False
+    return bool(json.loads(record.read_text())["key"] == recipe.key(observer, scene))
+
+
+def write_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> None:
+    """Render a home's views and write its chunk, then its record; runs in a worker process."""
+    seed = (recipe.seed, Stream.SHARDS, crc32(scene.encode()))
+    items = []
+    for group in range(recipe.views // recipe.group):
+        items.append(encode(look(observer, scene, recipe.sampler, (*seed, group), recipe.group)))
+    chunk = _write_chunk(folder / _chunk(scene), items)
+    record = {"key": recipe.key(observer, scene), "chunk": chunk, "scene": scene, "items": len(items)}
+    write_text(_record(folder, scene), json.dumps(record))
+
+
+def try_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> str:
+    """Write a home; what went wrong, or an empty string."""
+    try:
+        write_home(observer, scene, folder, recipe)
+    except (
+        Exception
+    ) as error:  # whatever a scene source may raise: the other homes of the corpus do not wait for it
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def write_index(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, Any]:
+    """List everything written so far, for readers; returns the description.
+
+    Raises:
+        UserError: if nothing was written, or homes of other views lie in the folder as well.
+    """
+    records = [json.loads(path.read_text()) for path in sorted(folder.glob("*.record.json"))]
+    if not records:
+        raise UserError(f"shards: no home was written to {folder}; see the messages above")
+    if foreign := [each["scene"] for each in records if each["items"] * recipe.group != recipe.views]:
+        raise UserError(
+            f"shards: {folder} holds homes of another number of views ({', '.join(foreign[:5])}), expected "
+            f"{recipe.views}; write to another folder, or remove them"
+        )
+    homes = {each["scene"]: each["items"] for each in records}
+    about = {"views": describe(observer), "group": recipe.group, "homes": homes}
+    first = _write_chunk(folder / ABOUT, [json.dumps(about).encode()])
+    chunks = [first["entry"], *(each["chunk"]["entry"] for each in records)]
+    write_text(folder / INDEX, json.dumps({"chunks": chunks, "config": first["config"]}))
+    return about
+
+
+def describe(observer: Observer) -> dict[str, Any]:
+    """What the views of any home depend on, apart from the home."""
+    parts = ("camera", "sensor", "ego", "obstacles", "truth_spec")
+    table = {row.name: plain(row.members) for row in observer.categories}
+    return {**{part: plain(getattr(observer, part)) for part in parts}, "categories": table}
+
+
+def check_index(index: Any, folder: Path | None) -> None:
+    """Check that an index is one of ours: bytes only, since litdata would unpickle others, in chunks beside it.
+
+    Args:
+        index: as read.
+        folder: in which the chunks are; None if they are not fetched yet.
+
+    Raises:
+        UserError: if it is not.
+    """
+    config, chunks = index["config"], index["chunks"]
+    if config["data_format"] != ["bytes"] or config["compression"] or config.get("encryption"):
+        raise UserError(
+            f"data.shards: got items of {config['data_format']}, expected plain bytes; do not use this corpus"
+        )
+    if config["item_loader"] != "PyTreeLoader":
+        raise UserError(f"data.shards: got item_loader {config['item_loader']!r}, expected PyTreeLoader")
+    for chunk in chunks:
+        name = chunk["filename"]
+        if not re.fullmatch(r"chunk-[\w.+-]+\.bin", name) or (folder and not (folder / name).is_file()):
+            raise UserError(
+                f"data.shards: the index names a chunk {name!r}, which is not there; write it again"
+            )
+
+
+def _prepare_litdata() -> None:
+    require_extra("litdata", "shards")
+    os.environ.setdefault(
+        "LITDATA_DISABLE_VERSION_CHECK", "1"
+    )  # else it asks PyPI, for 30 s where there is no network
+
+
+def _chunk(scene: str) -> str:
+    return f"chunk-{scene}.bin"
+
+
+def _record(folder: Path, scene: str) -> Path:
+    return folder / f"{scene}.record.json"
+
+
+def _write_chunk(path: Path, items: Sequence[bytes]) -> dict[str, Any]:
+    """Write items as one chunk; what litdata's index says of it."""
+    _prepare_litdata()
+    from litdata.streaming.writer import BinaryWriter
+
+    with replacing(path) as temporary, TemporaryDirectory(dir=temporary.parent) as scratch:
+        writer = BinaryWriter(scratch, chunk_size=len(items) + 1)
+        for number, item in enumerate(items):
+            writer[number] = item
+        writer.done()
+        writer.merge(1)
+        index = json.loads((Path(scratch) / INDEX).read_text())
+        (entry,) = index["chunks"]
+        os.replace(Path(scratch) / entry["filename"], temporary)
+    return {"entry": {**entry, "filename": path.name}, "config": index["config"]}
+
+
+class Shards:
+    """A corpus to read from.
+
+    Args:
+        place: folder or URL (s3://…, gs://…).
+        cache: folder for chunks of a URL.
+        cache_size: most that is kept there, e.g. "20GB".
+
+    Raises:
+        UserError: if there is no corpus.
+    """
+
+    def __init__(self, place: str, cache: str, cache_size: str) -> None:
+        _prepare_litdata()
+        from litdata import StreamingDataset
+
+        self.place = place
+        remote = "://" in place
+        if not remote and not (Path(place) / INDEX).is_file():
+            raise UserError(
+                f"data.shards: got {place}, where there is no {INDEX}; expected a folder that "
+                "python -m imagination.render +shards=… wrote, or a URL of one"
+            )
+        own = Path(cache) / hashlib.sha256(place.encode()).hexdigest()[:16]
+        try:
+            if remote:
+                self._items = StreamingDataset(place, cache_dir=str(own), max_cache_size=cache_size)
+                len(self._items)  # fetches the index
+            for index in own.rglob(INDEX) if remote else [Path(place) / INDEX]:
+                check_index(json.loads(index.read_text()), None if remote else Path(place))
+            if not remote:
+                self._items = StreamingDataset(place)
+            about = json.loads(bytes(self._items[0]))
+            self.group: int = int(about["group"])
+            self.homes: dict[str, int] = {str(home): int(count) for home, count in about["homes"].items()}
+            self.views: dict[str, Any] = about["views"]
+        except UserError:
+            raise
+        except (RuntimeError, ValueError, LookupError, TypeError, OSError, AttributeError) as error:
+            raise UserError(f"data.shards: {place} cannot be read ({error}); write it again") from error
+        self._first = dict(zip(self.homes, np.cumsum([1, *self.homes.values()]).tolist(), strict=False))
+
+    def read(self, home: str, number: int) -> Views:
+        """One group of views of a home.
+
+        Raises:
+            UserError: if it is damaged.
+        """
+        try:
+            return decode(bytes(self._items[self._first[home] + number]))
+        except DamagedError as error:
+            raise UserError(
+                f"data.shards: item {number} of {home} in {self.place} is damaged; remove {_chunk(home)} and write it "
+                "again"
+            ) from error
+
+    def check(self, observer: Observer) -> None:
+        """Check that views are what the config asks for.
+
+        Raises:
+            UserError: with the first part that differs.
+        """
+        asked = json.loads(json.dumps(describe(observer)))
+        for part, value in asked.items():
+            if self.views.get(part) != value:
+                raise UserError(
+                    f"data.shards: the views in {self.place} were made with {part} {self.views.get(part)}, but the "
+                    f"config asks for {value}; choose the scale and settings they were written with"
+                )
+
+
+class ShardCollector:
+    """Collections of training views out of shards, in place of rendering them; see `Collector`.
+
+    So many homes as are looked at in parallel are open at once, and read through before the next: a chunk is fetched
+    once a lap. Which views a collection gets depends on the seed and its number alone.
+
+    Args:
+        shards: to read from.
+        homes: this process's own.
+        seed: of the run.
+        parallel_scenes: homes in one collection.
+        steps: views of each of them.
+
+    Raises:
+        UserError: if the views do not divide into collections.
+    """
+
+    def __init__(
+        self, shards: Shards, homes: Sequence[str], seed: int, parallel_scenes: int, steps: int
+    ) -> None:
+        self.shards, self.homes, self.seed = shards, list(homes), seed
+        self.parallel_scenes, self.steps = parallel_scenes, steps
+        items = min((shards.homes[home] for home in homes), default=0)
+        if not items or steps % shards.group or steps // shards.group > items:
+            raise UserError(
+                f"data.shards: got {len(self.homes)} homes of {items} x {shards.group} views, expected at least one "
+                f"home and collections of scale.update_interval = {steps} views of each; write them with that interval"
+            )
+        self._items_each = steps // shards.group
+        self._collections = items // self._items_each  # out of the same homes
+        self._reader = ThreadPoolExecutor(1)
+
+    @property
+    def views_per_collection(self) -> int:
+        return self.parallel_scenes * self.steps
+
+    def start(self, index: int) -> Callable[[], Views]:
+        """Begin to read collection `index`; the function returned waits for it."""
+        return self._reader.submit(self._read, index).result
+
+    def _read(self, index: int) -> Views:
+        window, turn = divmod(index, self._collections)
+        parts = []
+        for slot in range(self.parallel_scenes):
+            lap, place = divmod(window * self.parallel_scenes + slot, len(self.homes))
+            home = self.homes[self._shuffled(len(self.homes), lap)[place]]
+            order = self._shuffled(self.shards.homes[home], lap, crc32(home.encode()))
+            chosen = order[turn * self._items_each : (turn + 1) * self._items_each]
+            parts += [self.shards.read(home, number) for number in chosen]
+        return concatenate(parts)
+
+    def _shuffled(self, count: int, *seed: int) -> list[int]:
+        rng = np.random.default_rng([self.seed, Stream.SHARDS, *seed])
+        order: list[int] = rng.permutation(count).tolist()
+        return order
+
+
+class ShardData(SceneData):
+    """Training views streamed from shards; those of validation and test as in `SceneData`.
+
+    Args:
+        shards: folder or URL that `python -m imagination.render +shards=…` wrote.
+        shard_cache: folder for chunks of a URL.
+        shard_cache_size: most that is kept there.
+        others: see `SceneData`.
+    """
+
+    def __init__(self, shards: str, shard_cache: str, shard_cache_size: str, **others: Any) -> None:
+        super().__init__(**others)
+        self._where = shards, shard_cache, shard_cache_size
+        self._collector: ShardCollector | None = None
+
+    def setup(self, stage: str) -> None:
+        if stage == "fit":
+            self.survey("val")  # training needs no truth: it is in the views
+        else:
+            super().setup(stage)
+
+    def collector(self, steps: int) -> ShardCollector:  # type: ignore[override]  # start and views_per_collection alike
+        if self._collector is None:
+            shards = Shards(*self._where)
+            shards.check(self.observer)
+            homes = list(shards.homes)[rank() :: ranks()]
+            share = self.parallel_scenes // ranks()
+            self._collector = ShardCollector(shards, homes, self.seed, share, steps)
+        return self._collector

@@ -1,0 +1,103 @@
+"""Hydra's launcher for Ray: each member of a sweep is a task in a process of its own; one whose worker dies is retried.
+
+Ours because Hydra's own (hydra-ray-launcher 1.2.1) asks for cloudpickle below 3, which does not go with current
+versions of other packages, and neither retries nor tells which members failed. Hydra imports this module at each start,
+so Ray is imported late.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.singleton import Singleton
+from hydra.core.utils import JobReturn, JobStatus, filter_overrides, run_job, setup_globals
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, open_dict
+
+from imagination.errors import UserError, require_extra
+
+log = logging.getLogger(__name__)
+
+
+class RayLauncher(Launcher):
+    """Runs the members of a sweep as Ray tasks.
+
+    Args:
+        address: of a running cluster; None starts one on this machine, for as long as the sweep takes.
+        num_cpus, num_gpus: that a member reserves.
+        max_retries: of a member whose worker was killed.
+    """
+
+    def __init__(self, address: str | None, num_cpus: float, num_gpus: float, max_retries: int) -> None:
+        self.address = address
+        self.options = {"num_cpus": num_cpus, "num_gpus": num_gpus, "max_retries": max_retries}
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        self.context, self.task, self.config = hydra_context, task_function, config
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+        """Run all members and wait for them.
+
+        Raises:
+            UserError: if Ray is not installed, or members failed, once all others are done.
+        """
+        require_extra("ray", "ray")
+        import ray
+
+        setup_globals()
+        started = not ray.is_initialized()
+        if started:
+            ray.init(address=self.address, include_dashboard=None if self.address else False)
+        try:
+            # a process for each member, so that none inherits another's state
+            remote = ray.remote(max_calls=1, **self.options)(run_member)
+            shared = ray.put((self.context, self.config, self.task, Singleton.get_state(), os.getcwd()))
+            tasks = [
+                remote.remote(shared, list(overrides), initial_job_idx + number)
+                for number, overrides in enumerate(job_overrides)
+            ]
+            results = [ray.get(task) for task in tasks]
+        finally:
+            if started:
+                ray.shutdown()
+        told = [
+            f"{number} ({' '.join(filter_overrides(list(overrides)))})"
+            for number, (overrides, result) in enumerate(zip(job_overrides, results, strict=True))
+            if result.status != JobStatus.COMPLETED
+        ]
+        if told:
+            raise UserError(
+                f"sweep: {len(told)} of {len(results)} members failed: {', '.join(told)}; their messages are above"
+            )
+        return results
+
+
+def run_member(shared: Any, overrides: list[str], number: int) -> JobReturn:
+    """Run one member in a Ray worker, as Hydra's own launchers do."""
+    context, config, task, singletons, folder = shared
+    os.chdir(folder)
+    setup_globals()
+    Singleton.set_state(singletons)
+    member = context.config_loader.load_sweep_config(config, overrides)
+    with open_dict(member):
+        member.hydra.job.id = f"{member.hydra.job.name}_{number}"
+        member.hydra.job.num = number
+    HydraConfig.instance().set_config(member)
+    try:
+        return run_job(
+            hydra_context=context,
+            task_function=task,
+            config=member,
+            job_dir_key="hydra.sweep.dir",
+            job_subdir_key="hydra.sweep.subdir",
+        )
+    except SystemExit as stop:  # a mistake that was told; Ray would take it for a killed worker and try again
+        failed = JobReturn()
+        failed.overrides, failed.status = overrides, JobStatus.FAILED
+        failed.return_value = UserError(f"it ended with code {stop.code}")
+        return failed

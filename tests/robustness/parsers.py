@@ -1,0 +1,105 @@
+"""Every parser of foreign files, with valid examples to start from. A new parser is one line of `PARSERS`."""
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from omegaconf import OmegaConf
+
+from imagination.cache import MAGIC, DamagedError, decode, encode
+from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint
+from imagination.config import compose
+from imagination.errors import UserError
+from imagination.resume import END, _read
+
+
+class Parser(NamedTuple):
+    """One parser.
+
+    Attributes:
+        name: for the command line.
+        parse: reads a file.
+        examples: contents of valid files.
+        documented: what it may raise on others.
+    """
+
+    name: str
+    parse: Callable[[Path], object]
+    examples: Callable[[], Sequence[bytes]]
+    documented: tuple[type[Exception], ...] = (UserError,)
+
+
+def sealed(path: Path) -> object:
+    """Decode an entry whose checksum fits, as a stranger would see to."""
+    body = path.read_bytes()
+    return decode(MAGIC + hashlib.sha256(body).digest() + body)
+
+
+@cache
+def entries() -> list[bytes]:
+    arrays = {
+        "mask": np.arange(21).reshape(3, 7) % 3 == 0,
+        "depth": np.linspace(0, 8, 10, dtype=np.float16),
+        "rgb": np.zeros((2, 3, 3), np.uint8),
+        "nothing": np.zeros((0, 4), bool),
+    }
+    return [encode(arrays), encode({})]
+
+
+def bodies() -> list[bytes]:
+    """What lies behind the checksum."""
+    return [entry[len(MAGIC) + hashlib.sha256().digest_size :] for entry in entries()]
+
+
+@cache
+def checkpoints() -> list[bytes]:
+    config = compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=."])
+    config.choices = ["+experiment=chair_unet", "scale=test"]
+    state = {"state_dict": {"weight": torch.zeros(2)}, KEY: ConfigInCheckpoint(config).description}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.ckpt"
+        torch.save(state, path)
+        return [path.read_bytes()]
+
+
+@cache
+def configs() -> list[bytes]:
+    config = compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=."])
+    return [(OmegaConf.to_yaml(config) + END).encode()]
+
+
+def corpus(path: Path) -> object:
+    """Open a corpus whose index is the file."""
+    from imagination.data.shards import ABOUT, INDEX, Shards
+
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / ABOUT).write_bytes(described()[1])
+        (Path(folder) / INDEX).write_bytes(path.read_bytes())
+        return Shards(folder, folder, "1GB").homes
+
+
+@cache
+def described() -> tuple[bytes, bytes]:
+    """An index and its one chunk."""
+    from imagination.data.shards import ABOUT, _write_chunk
+
+    about = {"views": {}, "group": 2, "homes": {"train_0": 3}}
+    with tempfile.TemporaryDirectory() as folder:
+        written = _write_chunk(Path(folder) / ABOUT, [json.dumps(about).encode()])
+        index = {"chunks": [written["entry"]], "config": written["config"]}
+        return json.dumps(index).encode(), (Path(folder) / ABOUT).read_bytes()
+
+
+PARSERS = [
+    Parser("config", _read, configs),
+    Parser("checkpoint", lambda path: Checkpoint.read(path).config, checkpoints),
+    Parser("cache", lambda path: decode(path.read_bytes()), entries, (DamagedError,)),
+    Parser("cache-sealed", sealed, bodies, (DamagedError,)),
+    Parser("shards", corpus, lambda: described()[:1]),
+]
