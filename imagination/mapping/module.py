@@ -50,12 +50,10 @@ class Description:
             raise UserError(
                 f"units: got the categories {list(self.categories)}, expected each once and at least one"
             )
-        for name in self.categories:
-            if (
-                not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name) or name in RESERVED
-            ):  # they become names of files
+        for name in self.categories:  # they become names of files
+            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name) or name in RESERVED:
                 raise UserError(
-                    f"units: got the category {name!r}, expected letters, digits, _ and -, and none of {', '.join(RESERVED)}"
+                    f"units: got the category {name!r}, expected letters, digits, _ and -, not {', '.join(RESERVED)}"
                 )
         if len(self.colours) != len(self.categories):
             raise UserError(f"units: got {len(self.colours)} colours for {len(self.categories)} categories")
