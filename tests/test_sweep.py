@@ -185,7 +185,7 @@ def hparams_of(logdir: Path) -> list[dict[str, float]]:
     provider = MultiplexerDataProvider(multiplexer, str(logdir))
     context = backend_context.Context(TBContext(logdir=str(logdir), data_provider=provider))
     request = RequestContext()
-    shown = get_experiment.Handler(request, context, "", False, None).run()
+    shown = get_experiment.Handler(request, context, "", api_pb2.GetExperimentRequest()).run()
     asked = api_pb2.ListSessionGroupsRequest(
         start_index=0,
         slice_size=100,
