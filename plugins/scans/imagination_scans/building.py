@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Int32, UInt8
 
 from imagination.errors import UserError
 from imagination.scenes.scene import Material, Mesh, OrientedBox
@@ -211,9 +211,3 @@ def upright_box(points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "8 
     return OrientedBox(
         (float(x), float(y), float((bottom + top) / 2)), (width, depth, float(max(top - bottom, 1e-3))), yaw
     )
-
-
-def triangles(polygons: Int[np.ndarray, "m k"]) -> Int32[np.ndarray, "n 3"]:
-    """Polygons of k corners as fans of k - 2 triangles each, in order."""
-    fans = [polygons[:, [0, k, k + 1]] for k in range(1, polygons.shape[1] - 1)]
-    return np.stack(fans, axis=1).reshape(-1, 3).astype(np.int32)

@@ -11,8 +11,6 @@ from imagination.errors import UserError
 from imagination.scenes.scene import SPLITS, Split
 from imagination_scans.building import Building
 
-MAX_FACES = 50_000_000
-
 
 class Layout(Protocol):
     """How a data set lies on disk. Plain values only inside, so that worker processes receive a copy of it."""

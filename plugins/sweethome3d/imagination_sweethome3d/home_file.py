@@ -12,7 +12,7 @@ from xml.parsers import expat
 import numpy as np
 
 from imagination.errors import UserError
-from imagination_sweethome3d.archives import Archive, opened
+from imagination_sweethome3d.archives import opened
 
 HOME = "Home.xml"
 FURNITURE = ("pieceOfFurniture", "light", "shelfUnit", "doorOrWindow")
@@ -144,11 +144,6 @@ def parse_xml(content: bytes, where: str) -> Element:
         return builder.close()
     except (expat.ExpatError, AssertionError) as error:
         raise UserError(f"{where} is damaged: {error}") from error
-
-
-def model_archive(path: Path, archive: Archive, piece: HomePiece) -> str | None:
-    """The member that holds a piece's model; None if the home has none."""
-    return piece.model if piece.model and piece.model in archive else None
 
 
 def _levels(root: Element, path: Path) -> list[Level]:
