@@ -45,9 +45,9 @@ def main(config: DictConfig) -> None:
         viewer.open(folder, mapper)
         try:
             status = run(mapper, Frames(recording), viewer)
+            mapper.save(folder, config.threshold)
         finally:
             viewer.close()
-        mapper.save(folder, config.threshold)
         runs.point_latest(folder)
         log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
     sys.exit(status)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from imagination.checkpoints import KEY, ConfigInCheckpoint
 from imagination.config import compose
@@ -19,23 +19,33 @@ from tests.rooms import tiny_room
 
 
 def make_checkpoint(path: Path, *choices: str) -> Path:
-    """A checkpoint as training would write it, at scale=test unless chosen, with random weights and statistics."""
+    """A checkpoint as training would write it, of a unit that was never trained; at scale=test unless chosen."""
     every = [*choices] if any(choice.startswith("scale=") for choice in choices) else ["scale=test", *choices]
     config = compose("train", [*every, "paths.run=."])
     OmegaConf.update(config, "choices", every)
-    torch.manual_seed(9)
+    torch.manual_seed(0)
     model = instantiate(config.model.module)
-    with torch.no_grad():
-        for part in model.modules():
-            if isinstance(part, torch.nn.BatchNorm2d):
-                part.running_mean.normal_(std=0.1)
-                part.running_var.uniform_(0.2, 1.0)
-                part.bias.normal_(std=0.3)
-        model.unit.head.bias.fill_(3.0)  # answers on both sides of one half
-        model.unit.head.weight.normal_(std=4.0)
+    liven(model.unit, config)
     description = ConfigInCheckpoint(config).description
     torch.save({"state_dict": model.state_dict(), KEY: description}, path)
     return path
+
+
+def liven(unit: torch.nn.Module, config: DictConfig) -> None:
+    """Give an untrained unit answers on both sides of one half, by the statistics of random observations."""
+    generator = torch.Generator().manual_seed(0)
+    size, cells = config.camera.width, instantiate(config.ego).cells
+    maps = (torch.rand(4, 2, cells, cells, generator=generator) < 0.3).to(torch.uint8)
+    depth = (6 * torch.rand(4, 1, size, size, generator=generator)).half()
+    rgb = torch.randint(0, 256, (4, 3, size, size), dtype=torch.uint8, generator=generator)
+    with torch.no_grad():
+        unit.train()
+        for _ in range(10):
+            unit(rgb, depth, maps[:, :1], maps[:, 1:])
+        logits = unit.eval()(rgb, depth, maps[:, :1], maps[:, 1:])
+        scale = 2 / logits.std()
+        unit.head.weight.mul_(scale)
+        unit.head.bias.sub_(logits.mean()).mul_(scale)
 
 
 def samples(count: int, categories: int = 1) -> list[Sample]:

@@ -34,6 +34,10 @@ def main(endpoint: str, folder: Path) -> None:
             session, "tf_static", cache=zenoh.ext.CacheConfig(max_samples=10), publisher_detection=True
         )
         messages = Messages(ROS2)
+        topics = [name.strip("/") for name, *_ in spoken(frames[0], CAMERA, messages, False)]
+        wanted = [session.declare_publisher(topic) for topic in dict.fromkeys(topics)]
+        while not all(publisher.matching_status.matching for publisher in wanted):
+            time.sleep(0.05)  # until it listens
         begun = time.time_ns()
         for number, taken in enumerate(frames):
             now = taken._replace(stamp=begun + number * 10**8)

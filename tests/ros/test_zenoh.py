@@ -58,8 +58,7 @@ def test_a_robot_in_another_process(tmp_path: Path, unit_file: Path) -> None:
     text = (tmp_path / "told").read_text()
     assert "Traceback" not in text
     assert "10 frames mapped" in text
-    # the session may end before the last of these arrives
-    assert re.search(r"(9|10) x refused: colour", text) and re.search(r"(9|10) x refused: tf", text)
+    assert "10 x refused: colour" in text and "10 x refused: tf" in text
     assert "bytes that are no such message" in text and "got 100000 bytes, expected at most 50000" in text
     maps = load_maps(tmp_path / "outputs" / "serve" / "latest")
     wanted = SemanticMapper(load(unit_file))
