@@ -50,13 +50,10 @@ class Description:
             raise UserError(
                 f"units: got the categories {list(self.categories)}, expected each once and at least one"
             )
-        for name in self.categories:
-            if (
-                not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name) or name in RESERVED
-            ):  # they become names of files
+        for name in self.categories:  # they become names of files
+            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name) or name in RESERVED:
                 raise UserError(
-                    f"units: got the category {name!r}, expected letters, digits, _ and -, and none of "
-                    f"{', '.join(RESERVED)}"
+                    f"units: got the category {name!r}, expected letters, digits, _ and -, not {', '.join(RESERVED)}"
                 )
         if len(self.colours) != len(self.categories):
             raise UserError(f"units: got {len(self.colours)} colours for {len(self.categories)} categories")
@@ -139,17 +136,10 @@ class SideBySide:
 
 
 class Statement(NamedTuple):
-    """What views say.
-
-    Attributes:
-        values: of cells.
-        mask: cells that they have something to say about.
-        imagined: those of them that they did not see; None if they saw all.
-    """
+    """What views say: the values of cells, and which cells they have something to say about."""
 
     values: Float32[np.ndarray, "*b v v"]
     mask: Bool[np.ndarray, "*b v v"]
-    imagined: Bool[np.ndarray, "*b v v"] | None = None
 
 
 def valid_imagination(
@@ -171,7 +161,7 @@ def valid_imagination(
         resolution: metres per cell.
     """
     valid = neighbourhood(probabilities >= threshold, seen, kernel_cells(kernel, resolution))
-    return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen, valid & ~seen)
+    return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen)
 
 
 def joined(one: Description, other: Description) -> Description:
