@@ -35,7 +35,7 @@ def training(kind: type = ImaginationUnit, **options: float) -> UnitTraining:
     if kind is ProjectedUnit:
         parts |= {"max_height": 1.5, "width": 4}
     else:
-        parts |= {"heights": [0.2, 0.5, 1.5]}
+        parts |= {"heights": [0.2, 0.5, 1.5], "height_jitter": 0.0}
     schedule = partial(torch.optim.lr_scheduler.StepLR, step_size=1, gamma=0.1)
     loss = WeightedBCE()
     return UnitTraining(
