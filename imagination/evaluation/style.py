@@ -91,5 +91,5 @@ def theme(name: str) -> Iterator[None]:
         "lines.linewidth": 1.6,
         "pdf.fonttype": 42,  # text stays text
     }
-    with mpl.rc_context(changes):  # type: ignore[arg-type]  # matplotlib lists every key as a literal
+    with mpl.rc_context(changes):
         yield

@@ -136,10 +136,17 @@ class SideBySide:
 
 
 class Statement(NamedTuple):
-    """What views say: the values of cells, and which cells they have something to say about."""
+    """What views say.
+
+    Attributes:
+        values: of cells.
+        mask: cells that they have something to say about.
+        imagined: those of them that they did not see; None if they saw all.
+    """
 
     values: Float32[np.ndarray, "*b v v"]
     mask: Bool[np.ndarray, "*b v v"]
+    imagined: Bool[np.ndarray, "*b v v"] | None = None
 
 
 def valid_imagination(
@@ -161,7 +168,7 @@ def valid_imagination(
         resolution: metres per cell.
     """
     valid = neighbourhood(probabilities >= threshold, seen, kernel_cells(kernel, resolution))
-    return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen)
+    return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen, valid & ~seen)
 
 
 def joined(one: Description, other: Description) -> Description:

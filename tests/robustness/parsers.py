@@ -5,6 +5,7 @@ import json
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,6 +72,7 @@ def checkpoints() -> list[bytes]:
 @cache
 def configs() -> list[bytes]:
     config = compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=."])
+    config.sweep_dir = None  # as the command leaves it out
     return [(OmegaConf.to_yaml(config) + END).encode()]
 
 
@@ -101,5 +103,6 @@ PARSERS = [
     Parser("checkpoint", lambda path: Checkpoint.read(path).config, checkpoints),
     Parser("cache", lambda path: decode(path.read_bytes()), entries, (DamagedError,)),
     Parser("cache-sealed", sealed, bodies, (DamagedError,)),
-    Parser("shards", corpus, lambda: described()[:1]),
 ]
+if find_spec("litdata") is not None:  # an optional extra
+    PARSERS.append(Parser("shards", corpus, lambda: described()[:1]))
