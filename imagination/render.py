@@ -23,6 +23,7 @@ from imagination.ground_truth.pictures import Look
 from imagination.progress import progress
 from imagination.scenes.renderer import SceneRenderer, renderer_of
 from imagination.scenes.scene import SPLITS, Scene, Split
+from imagination.views.pool import ScenePool
 from imagination.views.poses import sample_poses
 from imagination.views.view import Observer, View
 
@@ -86,24 +87,27 @@ def write_corpus(config: DictConfig) -> None:
     require_extra("litdata", "shards")
     check_range("parts", config.parts, 1, 1_000_000, "jobs")
     check_range("part", config.part, 0, config.parts - 1)
-    data = instantiate(config.data.module)
+    observer: Observer = instantiate(config.data.observer)
+    pool = ScenePool(observer, config.scale.workers)
     split = cast(Split, check_choice("split", config.split, SPLITS))
-    recipe = shards.Recipe(data.sampler, config.seed, config.views, config.scale.update_interval)
-    folder, homes = Path(config.shards), data.observer.source.scenes(split)[config.part :: config.parts]
+    recipe = shards.Recipe(
+        instantiate(config.data.sampler), config.seed, config.views, config.scale.update_interval
+    )
+    folder, homes = Path(config.shards), observer.source.scenes(split)[config.part :: config.parts]
     folder.mkdir(parents=True, exist_ok=True)
     with runs.logging_to(folder / f"render_{config.part}_of_{config.parts}.log"):
-        left = [home for home in homes if not shards.written(folder, data.observer, home, recipe)]
+        left = [home for home in homes if not shards.written(folder, observer, home, recipe)]
         begin, failed = perf_counter(), []
         try:
-            tasks = {home: data.pool.submit(shards.try_home, home, folder, recipe) for home in left}
+            tasks = {home: pool.submit(shards.try_home, home, folder, recipe) for home in left}
             for home, task in progress(tasks.items(), f"views of homes ({split})", len(tasks)):
                 if problem := task.result():
                     failed.append(home)
                     log.error("%s is left out: %s", home, problem)
         finally:
-            data.close()
+            pool.close()
         seconds = perf_counter() - begin
-        about = shards.write_index(folder, data.observer, recipe)
+        about = shards.write_index(folder, observer, recipe)
         count, size = len(about["homes"]), sum(path.stat().st_size for path in folder.glob("chunk-*.bin"))
         per_view = size / (count * recipe.views)
         log.info(

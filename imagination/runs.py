@@ -68,7 +68,9 @@ def point_latest(folder: Path) -> str | None:
     """Let `latest` beside a run folder point to it, in one step; the name of the folder it pointed to before."""
     link = folder.parent / "latest"
     before = link.readlink().name if link.is_symlink() else None
-    for scratch in link.parent.glob(f".{link.name}.*{PART}"):  # a process was killed in the moment that this takes
+    for scratch in link.parent.glob(
+        f".{link.name}.*{PART}"
+    ):  # a process was killed in the moment that this takes
         if time.time() - scratch.lstat().st_mtime > 60:
             shutil.rmtree(scratch, ignore_errors=True)
     with replacing(link) as temporary:

@@ -10,6 +10,7 @@ from torch.utils.data import DataLoader
 
 from imagination.baselines.hrnet import HRNetV2
 from imagination.baselines.training import SegmentationTraining
+from imagination.callbacks.replay_buffer import parts
 from imagination.errors import UserError
 
 NAME = "hrnet_w18_small"
@@ -95,6 +96,33 @@ def test_scores_are_those_of_the_pixels() -> None:
         assert logged[f"val/iou_{name}"] == pytest.approx(ious[-1], abs=1e-6)
     assert logged["val/iou"] == pytest.approx(sum(ious) / 2, abs=1e-6)
     assert {"train/loss", "train/learning_rate", "val/precision_bed", "val/recall_chair"} <= set(logged)
+
+
+def test_an_accumulated_batch_trains_as_a_whole_one() -> None:
+    weights = []
+    for count in (1, 3):  # 7 views: parts of 3, 2 and 2
+        torch.manual_seed(0)
+        trained = SegmentationTraining(Pixels, ["chair", "bed"], partial(torch.optim.SGD, lr=0.01))
+        trainer = lightning.Trainer(
+            max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
+            enable_model_summary=False, accumulate_grad_batches=count,
+        )  # fmt: skip
+        split = [part for seed in range(3) for part in parts(batch(7, seed), count)]
+        trainer.fit(trained, DataLoader(split, batch_size=None))
+        assert trainer.global_step == 3
+        weights.append(trained.network.layer.weight.detach().clone())
+    torch.testing.assert_close(*weights)
+
+
+class Pixels(nn.Module):
+    """Without batch normalisation, whose statistics are those of a part."""
+
+    def __init__(self, classes: int) -> None:
+        super().__init__()
+        self.layer = nn.Conv2d(3, classes, 1)
+
+    def forward(self, rgb: Tensor) -> Tensor:
+        return self.layer(rgb / 255)
 
 
 def test_a_network_that_timm_does_not_have_is_refused() -> None:

@@ -58,7 +58,11 @@ def test_jitter_scales_heights_in_training_only() -> None:
     for index, factor in enumerate(factors.flatten().tolist()):
         # heights that are scaled by a factor lie in bands whose bounds are divided by it
         scaled = HeightBands(CAMERA, EGO, [height / factor for height in HEIGHTS])(depth)[index]
-        assert (maps[index] != scaled).float().mean() < 0.001 < (maps[index] != exact(depth)[index]).float().mean()
+        assert (
+            (maps[index] != scaled).float().mean()
+            < 0.001
+            < (maps[index] != exact(depth)[index]).float().mean()
+        )
 
 
 def test_jitter_out_of_range_is_refused() -> None:

@@ -150,9 +150,15 @@ def test_the_paper_s_loss_as_a_part_is_the_function() -> None:
     batch = random_batch(views=3, cells=9, categories=2)
     logits = torch.randn(3, 2, 9, 9, generator=torch.Generator().manual_seed(0))
     expected, weights = imagination_loss(logits, batch["label"], batch["neighbourhood"], 7.0, 3.0)
-    loss, parts = WeightedBCE(7.0, 3.0)(logits, batch["label"], batch["neighbourhood"])
+    loss, told = WeightedBCE(7.0, 3.0)(logits, batch["label"], batch["neighbourhood"])
     assert loss == expected
-    assert parts["w_alpha"] == weights.alpha.mean() and parts["w_gamma"] == weights.gamma.mean()
+    assert told["w_alpha"] == weights.alpha.mean() and told["w_gamma"] == weights.gamma.mean()
+    own = [
+        WeightedBCE(7.0, 3.0)(part["logits"], part["label"], part["neighbourhood"], part["counts"])
+        for part in parts({**batch, "logits": logits}, 2)
+    ]
+    torch.testing.assert_close(own[0].loss + own[1].loss, expected)
+    assert all(part.parts["w_gamma"] == weights.gamma.mean() for part in own)
 
 
 def test_dice_by_hand_takes_the_batch_as_one_picture() -> None:

@@ -14,7 +14,7 @@ from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.units.backbones import UNet
 from imagination.units.encoders import TimmEncoder
-from imagination.units.loss import WeightedBCE, imagination_loss
+from imagination.units.loss import BCEDice, WeightedBCE, imagination_loss
 from imagination.units.projected import ProjectedUnit
 from imagination.units.training import UnitTraining
 from imagination.units.unit import ImaginationUnit, Unit
@@ -94,6 +94,17 @@ def test_an_accumulated_batch_trains_as_a_whole_one() -> None:
         assert trainer.global_step == 3
         weights.append(module.unit.layer.weight.detach().clone())
     torch.testing.assert_close(*weights, rtol=1e-4, atol=1e-6)
+
+
+def test_a_loss_that_has_no_parts_is_refused_with_accumulation() -> None:
+    module = training()
+    module.loss = BCEDice()
+    trainer = lightning.Trainer(
+        max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
+        enable_model_summary=False, accumulate_grad_batches=2,
+    )  # fmt: skip
+    with pytest.raises(UserError, match=r"scale.accumulate: got 2, expected 1 for the loss BCEDice"):
+        trainer.fit(module, loader(2))
 
 
 @pytest.mark.parametrize("kind", [ImaginationUnit, ProjectedUnit])

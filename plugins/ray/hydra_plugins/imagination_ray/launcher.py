@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -47,8 +48,10 @@ class RayLauncher(Launcher):
             UserError: if Ray is not installed, or members failed, once all others are done.
         """
         require_extra("ray", "ray")
+        os.environ.setdefault("RAY_DEDUP_LOGS", "0")  # else rows that two tables share are told once
         import ray
 
+        ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers do not look in plugins/
         setup_globals()
         started = not ray.is_initialized()
         if started:
