@@ -38,10 +38,10 @@ def test_all_four_resolutions_reach_the_head() -> None:
     image = torch.zeros(1, 3, 64, 96, dtype=torch.uint8)
     maps = network.encoder(image.float())
     assert [tuple(one.shape) for one in maps] == [
-        (1, 18, 16, 24),
-        (1, 36, 8, 12),
-        (1, 72, 4, 6),
-        (1, 144, 2, 3),
+        (1, 16, 16, 24),
+        (1, 32, 8, 12),
+        (1, 64, 4, 6),
+        (1, 128, 2, 3),
     ]
     assert network.decoder[0][0].in_channels == 16 + 32 + 64 + 128
     assert network(image).shape == (1, 5, 16, 24)
