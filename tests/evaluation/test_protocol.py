@@ -176,18 +176,20 @@ def test_tables_can_be_recounted_from_the_saved_maps(
             ):
                 if file["present"][c]:
                     mine, truth, seen = predicted[a, c], file["truth"][c], file["seen"]
-                    outcomes = mine & truth, mine & ~truth, truth, mine & truth & seen
+                    whole = mine & truth, mine & ~truth, truth
+                    outcomes = *whole, *(cells & seen for cells in whole)
                     key = str(name), str(category), f"{file['cell_width']:g}"
                     totals[key] = totals.get(key, 0) + np.array([np.sum(cells) for cells in outcomes])
     rows = tables.mapping_rows(found, protocol, 0.1)
     assert len(rows) == len(totals) == 6 * 2 * 2
     for row in rows:
-        correct, false, truth, seen = totals[row["approach"], row["category"], row["cell_width"]].tolist()
+        recounted = totals[row["approach"], row["category"], row["cell_width"]].tolist()
+        correct, false, truth = recounted[:3]
         told = [int(row[name]) for name in ("correct_pixels", "false_pixels", "truth_pixels")]
         assert told == [correct, false, truth]
         assert float(row["iou_pooled"]) == pytest.approx(correct / (truth + false), abs=5e-5)
         of_row = Key(row["approach"], row["category"], float(row["cell_width"]))
-        assert found.seen[of_row][..., 0].sum() == seen
+        assert found.seen[of_row].sum(axis=(0, 1)).tolist() == recounted[3:]
 
 
 def test_saved_maps_are_read_as_they_were(subject: Subject, report: Report, tmp_path: Path) -> None:
