@@ -175,7 +175,9 @@ class Checkpoint:
         Raises:
             UserError: if the weights do not fit the model that the installed conf describes.
         """
-        model: LightningModule = instantiate(self.config.model.module)
+        module = OmegaConf.to_container(self.config.model.module, resolve=True)
+        _load_no_weights(module)
+        model: LightningModule = instantiate(module)
         try:
             model.load_state_dict(self.state["state_dict"])
         except RuntimeError as error:
