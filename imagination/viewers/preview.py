@@ -125,10 +125,12 @@ def _panel(image: Picture, title: str) -> UInt8[np.ndarray, "p q 3"]:
 
 def _with_path(picture: Picture, maps: Maps, path: Sequence[Pose]) -> UInt8[np.ndarray, "p q 3"]:
     """The known part of the map, as large as it fits, with the robot and its path."""
+    side = 2 * PANEL
     known = np.argwhere(maps.known)
+    if not len(known):  # depth was all holes so far
+        return np.full((side, side, 3), UNKNOWN_COLOUR, np.uint8)
     top, left = known.min(axis=0)
     bottom, right = known.max(axis=0) + 1
-    side = 2 * PANEL
     scale = side / max(bottom - top, right - left)
     cut = np.ascontiguousarray(picture[top:bottom, left:right])
     size = max(1, round((right - left) * scale)), max(1, round((bottom - top) * scale))
