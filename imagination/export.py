@@ -7,6 +7,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from imagination import runs
 from imagination.config import command
 from imagination.deployment.formats import PRECISIONS, SUFFIXES
 from imagination.errors import UserError, check_choice, check_range
@@ -52,22 +53,22 @@ def main(config: DictConfig) -> None:
     calibration = (
         export.sample_views(run, "train", CALIBRATION_VIEWS) if config.precision == "int8" else samples
     )
-    export.export(checkpoints, file, config.format, config.precision, calibration)
-    check = export.compare(load(file), load(paths), samples)
-    told = (
-        f"on {len(samples)} views: largest difference {check.difference:.2g}, IoU {check.iou:.4f} "
-        f"(PyTorch {check.reference_iou:.4f})"
-    )
-    if config.precision == "float32":
-        good, limit = check.difference <= config.tolerance, f"a difference of at most {config.tolerance}"
-    else:
-        good, limit = (
-            check.reference_iou - check.iou <= config.max_loss,
-            f"a loss of IoU of at most {config.max_loss}",
+    with runs.replacing(file) as temporary:  # an earlier file stays unless this one is good
+        export.export(checkpoints, temporary, config.format, config.precision, calibration)
+        check = export.compare(load(temporary), load(paths), samples)
+        told = (
+            f"on {len(samples)} views: largest difference {check.difference:.2g}, IoU {check.iou:.4f} "
+            f"(PyTorch {check.reference_iou:.4f})"
         )
-    if not good:
-        file.unlink()
-        raise UserError(f"{file}: {told}, expected {limit}; nothing is kept, choose another precision")
+        if config.precision == "float32":
+            good, limit = check.difference <= config.tolerance, f"a difference of at most {config.tolerance}"
+        else:
+            good, limit = (
+                check.reference_iou - check.iou <= config.max_loss,
+                f"a loss of IoU of at most {config.max_loss}",
+            )
+        if not good:
+            raise UserError(f"{file}: {told}, expected {limit}; nothing is kept, choose another precision")
     log.info("%s, %.1f MB, %s", file, file.stat().st_size / 1e6, told)
 
 
