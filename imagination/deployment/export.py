@@ -9,14 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from hydra.utils import instantiate
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool
 from omegaconf import DictConfig
 from torch import Tensor, nn
 
 from imagination.checkpoints import Checkpoint
 from imagination.deployment.onnx_module import KEY, NAMES, arrays
 from imagination.deployment.torch_module import ENTRY, Probabilities, describe, inputs
-from imagination.errors import UserError
+from imagination.errors import require_extra
+from imagination.evaluation.metrics import count, iou
 from imagination.geometry.morphology import kernel_cells
 from imagination.ground_truth.label import label
 from imagination.mapping.module import ImaginationModule, Observation, joined
@@ -97,13 +98,10 @@ def write_onnx(program: Any, path: Path, text: str, calibration: Sequence[Sample
     Raises:
         UserError: if the packages that write ONNX are not installed.
     """
-    try:
-        import onnx
-        import onnxscript  # noqa: F401  torch's exporter needs it
-    except ImportError as error:
-        raise UserError(
-            f"format=onnx: {error.name} is not installed: pip install 'imagination[onnx]'"
-        ) from error
+    for package in ("onnx", "onnxscript"):  # torch's exporter needs the latter
+        require_extra(package, "onnx")
+    import onnx
+
     written = torch.onnx.export(
         program,
         input_names=list(NAMES),
@@ -177,14 +175,9 @@ def compare(module: ImaginationModule, reference: ImaginationModule, samples: Se
     answers = [(module(sample.observation), reference(sample.observation)) for sample in samples]
     labels = np.stack([sample.label for sample in samples])
     ours, theirs = (np.stack(list(column)) for column in zip(*answers, strict=True))
-    return Check(float(np.abs(ours - theirs).max()), pooled_iou(ours, labels), pooled_iou(theirs, labels))
-
-
-def pooled_iou(probabilities: Float32[np.ndarray, "n c v v"], labels: Bool[np.ndarray, "n c v v"]) -> float:
-    """Intersection over union of predictions at 0.5 with labels, over all views together; 1 if both are empty."""
-    predicted = probabilities >= 0.5
-    union = int((predicted | labels).sum())
-    return float((predicted & labels).sum() / union) if union else 1.0
+    flat = labels.reshape(len(labels), -1)
+    scores = [float(iou(count(answer.reshape(flat.shape) >= 0.5, flat))) for answer in (ours, theirs)]
+    return Check(float(np.abs(ours - theirs).max()), *scores)
 
 
 def normalisation(module: Probabilities) -> list[dict[str, Any]]:

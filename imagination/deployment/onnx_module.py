@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from imagination.errors import UserError
+from imagination.errors import UserError, require_extra
 from imagination.mapping.module import Description, Observation
 
 KEY = "imagination"
@@ -27,12 +27,9 @@ class OnnxModule:
     """
 
     def __init__(self, path: Path, threads: int = 0) -> None:
-        try:
-            import onnxruntime
-        except ImportError as error:
-            raise UserError(
-                "onnxruntime: is not installed, but .onnx files need it: pip install 'imagination[onnx]'"
-            ) from error
+        require_extra("onnxruntime", "onnx")
+        import onnxruntime
+
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3

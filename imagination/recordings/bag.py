@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from imagination.errors import UserError, check_range
+from imagination.errors import UserError, check_range, require_extra
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
 from imagination.recordings.cameras import mount_of
 from imagination.recordings.recording import BrokenRecordingError, Images, Shot, Stamp
@@ -243,13 +243,10 @@ def open_bag(path: Path) -> Any:
     Raises:
         UserError: if rosbags is not installed, or the bag is missing or cannot be opened.
     """
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise UserError(
-            "rosbags: is not installed, but bags need it: pip install 'imagination[bags]'"
-        ) from error
+    require_extra("rosbags", "bags")
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
     if not path.exists():
         raise UserError(f"recording.path: got {path}, but there is no such bag")
     try:

@@ -1,5 +1,6 @@
 """Poses over time, and frames that move against each other: a transform at any time, by interpolation."""
 
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable
 
@@ -99,7 +100,7 @@ class Trajectory:
 
     def at(self, stamp: Stamp) -> Float64[np.ndarray, "4 4"] | None:
         """The transform at a time; None before the first, after the last and in a gap."""
-        after = self._first_not_before(stamp)
+        after = bisect_left(self._stamps, stamp)
         if after == len(self._stamps):
             return None
         if self._stamps[after] == stamp:
@@ -108,13 +109,6 @@ class Trajectory:
             return None
         begin, end = self._stamps[after - 1], self._stamps[after]
         return interpolate(self._matrices[after - 1], self._matrices[after], (stamp - begin) / (end - begin))
-
-    def _first_not_before(self, stamp: Stamp) -> int:
-        low, high = 0, len(self._stamps)
-        while low < high:
-            middle = (low + high) // 2
-            low, high = (middle + 1, high) if self._stamps[middle] < stamp else (low, middle)
-        return low
 
 
 class Transforms:

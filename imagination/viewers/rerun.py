@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from imagination.errors import UserError, check_range
+from imagination.errors import check_range, require_extra
 from imagination.geometry.pose import Pose
 from imagination.mapping.pictures import FREE_COLOUR, OCCUPIED_COLOUR, UNKNOWN_COLOUR, draw_map
 from imagination.mapping.semantic import SemanticMapper, Update
@@ -26,12 +26,9 @@ class Rerun:
         self.file, self.every = file, int(check_range("viewer.every", every, 1, 100_000, "frames"))
         self._seen = 0
         self._path: list[Pose] = []
-        try:
-            import rerun
-        except ImportError as error:
-            raise UserError(
-                "viewer=rerun: rerun-sdk is not installed: pip install 'imagination[rerun]'"
-            ) from error
+        require_extra("rerun", "rerun")
+        import rerun
+
         self._rerun: Any = rerun
 
     def open(self, folder: Path, mapper: SemanticMapper) -> None:

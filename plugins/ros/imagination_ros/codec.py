@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from imagination.errors import UserError, check_choice
+from imagination.errors import UserError, check_choice, require_extra
 from imagination.geometry.grid import Grid
 from imagination.mapping.maps import Layer, MapObject
 from imagination.recordings.trajectory import SECOND
@@ -28,12 +28,9 @@ class Codec:
     """
 
     def __init__(self, distribution: str, max_bytes: int) -> None:
-        try:
-            from rosbags.typesys import Stores, get_typestore
-        except ImportError as error:
-            raise UserError(
-                "rosbags: is not installed, but serving needs it: pip install 'imagination[ros]'"
-            ) from error
+        require_extra("rosbags", "ros")
+        from rosbags.typesys import Stores, get_typestore
+
         names = [store.value for store in Stores if store.value.startswith("ros2")]
         self._store = get_typestore(Stores(check_choice("transport.distribution", distribution, names)))
         self.max_bytes = max_bytes

@@ -7,12 +7,12 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from imagination.errors import UserError
+from imagination.errors import UserError, require_extra
 from imagination_ros.codec import Codec
 
 
 class ZenohTransport:
-    """A Zenoh session; see `imagination_ros.node.Transport`.
+    """A Zenoh session; see `imagination_ros.server.Transport`.
 
     Args:
         distribution: ROS 2 distribution whose messages are spoken.
@@ -26,13 +26,10 @@ class ZenohTransport:
     def __init__(
         self, distribution: str, listen: Sequence[str], connect: Sequence[str], max_bytes: int
     ) -> None:
-        try:
-            import zenoh
-            import zenoh.ext
-        except ImportError as error:
-            raise UserError(
-                "eclipse-zenoh: is not installed, but server=zenoh needs it: pip install 'imagination[ros]'"
-            ) from error
+        require_extra("zenoh", "ros")
+        import zenoh
+        import zenoh.ext
+
         self._zenoh: Any = zenoh
         self.codec = Codec(distribution, max_bytes)
         self.listen, self.connect = list(listen), list(connect)
