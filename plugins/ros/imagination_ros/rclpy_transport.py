@@ -10,7 +10,7 @@ from imagination_ros.codec import Codec
 
 
 class RclpyTransport:
-    """An rclpy node; see `imagination_ros.node.Transport`.
+    """An rclpy node; see `imagination_ros.server.Transport`.
 
     Messages that come are rclpy's own, whose fields have the names that the node reads. What goes out is encoded by
     the codec and decoded again by rclpy.
