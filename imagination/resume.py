@@ -148,10 +148,14 @@ def choices(overrides: Sequence[str]) -> list[str]:
     """Those overrides that say what is trained, e.g. "+experiment=chair_unet" or "seed=3"."""
 
     def kept(text: str) -> bool:
-        top = re.split("[=@./]", text.lstrip("+~"))[0]
-        return top not in WHERE_AND_HOW and "_target_" not in text and "${" not in text
+        return top(text) not in WHERE_AND_HOW and "_target_" not in text and "${" not in text
 
     return [text for text in overrides if kept(text)]
+
+
+def top(override: str) -> str:
+    """The node or group of the config that an override is about."""
+    return re.split("[=@./]", override.lstrip("+~"))[0]
 
 
 def _existing(config: DictConfig) -> Path:

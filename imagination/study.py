@@ -6,7 +6,6 @@ unfinished one is resumed, and the evaluation takes up the homes that are done. 
 """
 
 import logging
-import re
 import shlex
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from imagination import runs
 from imagination.config import command
 from imagination.progress import shares, stage
-from imagination.resume import choices
+from imagination.resume import choices, top
 
 log = logging.getLogger(__name__)
 
@@ -33,8 +32,8 @@ EVALUATED = ("evaluation", "mapping", "ade20k")
 @command("study")
 def main(config: DictConfig) -> None:
     """Train what is missing, then evaluate."""
-    given = [text for text in HydraConfig.get().overrides.task if _top(text) not in OWN]
-    training = [text for text in given if _top(text) not in EVALUATED]
+    given = [text for text in HydraConfig.get().overrides.task if top(text) not in OWN]
+    training = [text for text in given if top(text) not in EVALUATED]
     outputs = Path(config.paths.outputs)
     with runs.logging_to(runs.create_folder(outputs / "study", runs.now()) / "run.log"):
         checkpoints = []
@@ -45,7 +44,7 @@ def main(config: DictConfig) -> None:
             _run(
                 "evaluate",
                 [f"ckpt=[{','.join(map(str, checkpoints))}]", f"+study={config.compare}"],
-                [text for text in given if _top(text) in (*EVALUATED, "paths")],
+                [text for text in given if top(text) in (*EVALUATED, "paths")],
             )
         parts = ", ".join(f"{name} {seconds / 60:.1f}" for name, seconds in shares.report().items())
         log.info("Minutes: %s", parts)
@@ -60,7 +59,7 @@ def trained(experiment: str, overrides: Sequence[str], outputs: Path) -> Path:
         _run(
             "train",
             [f"ckpt_path={folder / runs.LAST}"],
-            [text for text in overrides if _top(text) == "paths"],
+            [text for text in overrides if top(text) == "paths"],
         )
     else:
         _run("train", asked)
@@ -94,11 +93,6 @@ def _run(name: str, *overrides: Sequence[str]) -> None:
     if code:
         log.error("imagination.%s ended with %d; the same command goes on where it was", name, code)
         sys.exit(code)
-
-
-def _top(override: str) -> str:
-    """The node or group that an override is about."""
-    return re.split("[=@./]", override.lstrip("+~"))[0]
 
 
 if __name__ == "__main__":

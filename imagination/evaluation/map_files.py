@@ -32,6 +32,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
 from imagination.errors import UserError
+from imagination.evaluation.outcome import Example
 from imagination.evaluation.runs import Run
 from imagination.geometry.grid import Grid
 from imagination.runs import replacing
@@ -59,6 +60,12 @@ class SavedMaps(NamedTuple):
     def predicted(self) -> Bool[np.ndarray, "a c h w"]:
         """The map of each approach and category."""
         return self.level >= self.threshold[..., None, None]
+
+    def example(self, layer: int) -> Example:
+        """The maps of one category, for figures."""
+        predicted = {name: self.predicted[place, layer] for place, name in enumerate(self.approaches)}
+        shown = self.grid, self.occupied, self.truth[layer], predicted, self.poses
+        return Example(self.run, self.categories[layer], *shown)
 
     def cropped(self) -> "SavedMaps":
         """The same without rows and columns at the rim that hold nothing; no count of pixels changes."""

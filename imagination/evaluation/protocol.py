@@ -172,7 +172,7 @@ class MappingProtocol:
             save(maps.cropped())
             measured.append((run, {name: arrays[name] for name in COUNTED}))
             examples += [
-                _example(maps, layer)
+                maps.example(layer)
                 for layer, category in enumerate(categories)
                 if run.number == 0 and run.home == present[category][0]
             ]
@@ -253,14 +253,6 @@ class MappingProtocol:
         size, setting = subject.setting.ego.cells, subject.setting
         maps = np.zeros((0, len(setting.layers), size, size), np.float32)
         return dict.fromkeys(NEEDS, maps) | {"images": views["categories"]}
-
-
-def _example(maps: SavedMaps, layer: int) -> Example:
-    """Maps of one category for figures."""
-    predicted = {name: maps.predicted[place, layer] for place, name in enumerate(maps.approaches)}
-    return Example(
-        maps.run, maps.categories[layer], maps.grid, maps.occupied, maps.truth[layer], predicted, maps.poses
-    )
 
 
 def _ratios(measured: Sequence[tuple[Run, Arrays]], categories: Sequence[str]) -> dict[str, float]:

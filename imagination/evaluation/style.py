@@ -12,7 +12,7 @@ LABELS = {
     "imagination_seen": "Imagination (seen)",
     "seen_dilated": "Seen, grown",
     "imagination": "Imagination",
-    "imagination_rgb_shuffled": "RGB shuffled",
+    "rgb_shuffled": "RGB shuffled",
     "oracle": "Oracle",
 }
 """The paper's names where it has one; an approach that is not here goes by its own."""
@@ -23,7 +23,7 @@ MEANINGS = {
     "imagination_seen": "the unit's prediction in cells that depth saw",
     "seen_dilated": "imagination (seen), grown by the best kernel: does imagination do more than grow?",
     "imagination": "the unit's whole valid prediction, also where nothing was seen",
-    "imagination_rgb_shuffled": "imagination, each view with the colours of another one: does the unit look at them?",
+    "rgb_shuffled": "imagination, each view with the colours of another one: does the unit look at them?",
     "oracle": "the truth within the imaginable area of the views: the most that can be imagined",
 }
 """What the approaches are, for those who read the tables."""
@@ -37,7 +37,7 @@ COLOURS = {
     "imagination_seen": "#e69f00",
     "seen_dilated": "#cc79a7",
     "imagination": "#d55e00",
-    "imagination_rgb_shuffled": "#999999",
+    "rgb_shuffled": "#999999",
     "oracle": "#009e73",
 }
 """The palette of Okabe and Ito (2008), which people who see few colours can tell apart."""

@@ -18,18 +18,8 @@ from imagination.evaluation.figures import (
 )
 from imagination.evaluation.map_files import SavedMaps
 from imagination.evaluation.metrics import count, iou
-from imagination.evaluation.outcome import Example
+from imagination.evaluation.selection import THRESHOLDS
 from imagination.evaluation.single_views import ranked_by
-
-LEVELS = 99
-"""Hundredths that a score can reach; 0 is none."""
-
-
-def example_of(maps: SavedMaps, category: str) -> Example:
-    """The maps of one category."""
-    layer = maps.categories.index(category)
-    predicted = dict(zip(maps.approaches, maps.predicted[:, layer], strict=True))
-    return Example(maps.run, category, maps.grid, maps.occupied, maps.truth[layer], predicted, maps.poses)
 
 
 def typical(maps: Sequence[SavedMaps], category: str, cell_width: float) -> SavedMaps | None:
@@ -49,7 +39,7 @@ def typical(maps: Sequence[SavedMaps], category: str, cell_width: float) -> Save
 def draw_typical(maps: Sequence[SavedMaps], category: str, cell_widths: Sequence[float]) -> Figure:
     """For each cell width the run with the median IoU: the truth, then the map of each approach."""
     chosen = [found for width in cell_widths if (found := typical(maps, category, width)) is not None]
-    return draw_maps([example_of(saved, category) for saved in chosen])
+    return draw_maps([saved.example(saved.categories.index(category)) for saved in chosen])
 
 
 def draw_viewpoints(maps: Sequence[SavedMaps], cell_widths: Sequence[float]) -> Figure:
@@ -87,10 +77,12 @@ def tallies(maps: Sequence[SavedMaps]) -> dict[tuple[str, str], Int64[np.ndarray
             truth = saved.truth[layer]
             for place, approach in enumerate(saved.approaches):
                 level = saved.level[place, layer]
-                counts = [np.bincount(level[cells], minlength=LEVELS + 1)[1:] for cells in (truth, ~truth)]
+                counts = [
+                    np.bincount(level[cells], minlength=len(THRESHOLDS) + 1)[1:] for cells in (truth, ~truth)
+                ]
                 correct, false = (values[::-1].cumsum()[::-1] for values in counts)
-                total = np.full(LEVELS, np.count_nonzero(truth))
-                zero = np.zeros((LEVELS, 3), np.int64)
+                total = np.full(len(THRESHOLDS), np.count_nonzero(truth))
+                zero = np.zeros((len(THRESHOLDS), 3), np.int64)
                 found[approach, category] = found.get((approach, category), zero) + np.stack(
                     [correct, false, total], axis=-1
                 )

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
+from imagination import members
 from imagination.errors import UserError
 from imagination.evaluation.metrics import CONFIDENCE, interval
 from imagination.evaluation.outcome import Key
@@ -25,10 +26,6 @@ from imagination.runs import CONFIG
 
 WHERE_AND_HOW = ("paths", "choices", "callbacks", "logger")
 """Nodes of a config that say where and how a member ran; they differ between members or follow from others."""
-
-
-LIST = "members.csv"
-"""In a sweep's folder: folder, state, overrides and problem of each member."""
 
 
 class Member(NamedTuple):
@@ -61,7 +58,7 @@ class Multirun:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        listed = list_of(folder / LIST)
+        listed = list_of(folder / members.FILE)
         asked = [asked for asked, _, _ in listed] or grid(folder / "multirun.yaml")
         there = [path.name for path in folder.iterdir() if path.is_dir() and path.name.isdigit()]
         last = max([len(asked) - 1, *map(int, there)])
