@@ -1,7 +1,6 @@
 """`imagination.serve` and a robot in another process, with Zenoh between them."""
 
 import os
-import re
 import signal
 import socket
 import subprocess
