@@ -1,7 +1,6 @@
 """Training of a first-person segmentation network with Lightning."""
 
 from collections.abc import Callable, Mapping, Sequence
-from time import perf_counter
 
 import torch
 from jaxtyping import UInt8
@@ -12,7 +11,6 @@ from torch.optim import Optimizer
 from torchmetrics.classification import MulticlassConfusionMatrix
 
 from imagination.baselines.hrnet import at_size
-from imagination.ranks import ranks
 
 Batch = Mapping[str, Tensor]
 """rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for none, else the category's place + 1; views int64 () where
@@ -41,7 +39,6 @@ class SegmentationTraining(LightningModule):
         self.network = network(classes=classes)
         self.val_scores = MulticlassConfusionMatrix(classes)
         self.test_scores = MulticlassConfusionMatrix(classes)
-        self._batch_start = 0.0
 
     @torch.no_grad()
     def segment(
@@ -65,13 +62,6 @@ class SegmentationTraining(LightningModule):
             sync_dist=True,
         )
         return loss
-
-    def on_train_batch_start(self, batch: Batch, index: int) -> None:
-        self._batch_start = perf_counter()
-
-    def on_train_batch_end(self, outputs: object, batch: Batch, index: int) -> None:
-        samples = len(batch["rgb"]) * ranks()
-        self.log("train/samples_per_second", samples / (perf_counter() - self._batch_start))
 
     def validation_step(self, batch: Batch, index: int) -> None:
         self._score(batch, "val", self.val_scores)

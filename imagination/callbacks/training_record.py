@@ -1,6 +1,6 @@
 """What a checkpoint's weights took: rounds, samples, views and minutes."""
 
-from time import monotonic
+from time import monotonic, perf_counter
 from typing import Any
 
 from lightning import Callback, LightningModule, Trainer
@@ -10,19 +10,34 @@ from imagination.ranks import ranks
 
 
 class TrainingRecord(Callback):
-    """Counts over all resumptions of a run; the counts lie in its checkpoints and go into an evaluation's tables."""
+    """Counts over all resumptions of a run; the counts lie in its checkpoints and go into an evaluation's tables.
+
+    Logs how fast training is, drawing batches included, and where on the axis of steps loggers show a validation.
+    """
 
     def __init__(self) -> None:
         self._counts = {"rounds": 0, "samples": 0, "views": 0, "seconds": 0.0, "best": 0.0}
         self._since = monotonic()
+        self._batch_end = 0.0
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._since = monotonic()
 
+    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._batch_end = (
+            perf_counter()
+        )  # after the replay buffer's turn: what a round collects is not counted
+
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int
     ) -> None:
-        self._counts["samples"] += len(batch["rgb"]) * ranks()
+        samples, now = len(batch["rgb"]) * ranks(), perf_counter()
+        self._counts["samples"] += samples
+        pl_module.log("train/samples_per_second", samples / (now - self._batch_end))
+        self._batch_end = now
+
+    def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        pl_module.log("step", float(trainer.global_step - 1))  # the round's last
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._counts["best"] = max(self._counts["best"], float(trainer.callback_metrics["val/iou"]))

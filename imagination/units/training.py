@@ -1,7 +1,6 @@
 """Training of a unit with Lightning; the unit itself knows nothing of it."""
 
 from collections.abc import Callable, Mapping
-from time import perf_counter
 from typing import Any
 
 import torch
@@ -14,7 +13,7 @@ from torch.optim.lr_scheduler import LRScheduler
 from imagination.errors import UserError, check_range
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import kernel_cells
-from imagination.ranks import ranks, sum_over_ranks
+from imagination.ranks import sum_over_ranks
 from imagination.units.loss import Loss
 from imagination.units.metrics import THRESHOLDS, EgoScores, best_thresholds, named_scores
 from imagination.units.unit import Unit
@@ -70,7 +69,6 @@ class UnitTraining(LightningModule):
         self.test_scores = EgoScores(len(self.categories), kernel, valid_threshold)
         # which of THRESHOLDS each category's egocentric map takes, chosen at each validation; part of checkpoints
         self.register_buffer("chosen", torch.full((len(self.categories),), len(THRESHOLDS) // 2))
-        self._batch_end = 0.0
 
     def forward(self, batch: Batch) -> Float[Tensor, "b c v v"]:
         """Logits for a batch."""
@@ -115,14 +113,6 @@ class UnitTraining(LightningModule):
         )
         return loss
 
-    def on_train_epoch_start(self) -> None:
-        self._batch_end = perf_counter()  # what a round collects is not counted
-
-    def on_train_batch_end(self, outputs: object, batch: Batch, index: int) -> None:
-        samples, now = len(batch["label"]) * ranks(), perf_counter()
-        self.log("train/samples_per_second", samples / (now - self._batch_end))  # drawing the batch included
-        self._batch_end = now
-
     def validation_step(self, batch: Batch, index: int) -> None:
         self._score(batch, "val", self.val_scores)
 
@@ -132,7 +122,6 @@ class UnitTraining(LightningModule):
     def on_validation_epoch_end(self) -> None:
         self.chosen.copy_(best_thresholds(self.val_scores.compute()))
         self.log("val/threshold", self.chosen_thresholds.mean())
-        self.log("step", float(self.trainer.global_step - 1))  # where loggers show it: the round's last step
         self._log_scores("val", self.val_scores)
 
     @property

@@ -4,15 +4,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from matplotlib.figure import Figure
 
 from imagination.evaluation import figures, style
 from imagination.evaluation.runs import Run
+from imagination.evaluation.style import COLOURS, LABELS, MEANINGS
 from imagination.geometry.grid import Grid
 from imagination.reporting import map_figures, score_figures
 from imagination.reporting.content import of_run
 from imagination.reporting.page import drawings
 from imagination.reporting.results import Results
+from tests.conftest import ROOT
 from tests.reporting.folders import make_folder, make_maps
 
 
@@ -99,3 +102,12 @@ def test_every_figure_of_a_folder_is_drawn_in_both_themes(tmp_path: Path) -> Non
         assert figure.get_facecolor() != (1, 1, 1, 1)
         axis = figure.axes[0]
         assert axis.get_xlabel() == "cell width, m" and axis.get_ylabel() == "IoU of a run"
+
+
+def test_every_approach_that_we_evaluate_has_a_name_a_meaning_and_a_colour() -> None:
+    usual = yaml.safe_load((ROOT / "conf/evaluation/default.yaml").read_text())
+    study = yaml.safe_load((ROOT / "conf/study/paper.yaml").read_text())
+    names = set(usual["approaches"]) | set(study["evaluation"]["approaches"])
+    for known in (LABELS, MEANINGS, COLOURS):
+        assert set(known) == names
+    assert len(set(COLOURS.values())) == len(names)

@@ -39,6 +39,17 @@ def test_a_film_as_gif_is_thinned_where_it_is_long(tmp_path: Path) -> None:
         assert 2 <= film.n_frames <= 5 and film.size == (960, 480)  # type: ignore[attr-defined]
 
 
+def test_a_first_frame_without_a_return_shows_an_empty_map(tmp_path: Path) -> None:
+    mapper, viewer = SemanticMapper(Toy()), Preview("mp4")
+    viewer.open(tmp_path, mapper)
+    rgb, depth, pose = frames()[0]
+    viewer.show(0, mapper.update(rgb, np.zeros_like(depth), pose))
+    viewer.show(10**8, mapper.update(rgb, depth, pose))
+    viewer.close()
+    film = cv2.VideoCapture(str(tmp_path / "preview.mp4"))
+    assert [film.read()[0] for _ in range(3)] == [True, True, False]
+
+
 def test_no_frame_no_film(tmp_path: Path) -> None:
     for viewer in (Preview("mp4"), NoViewer()):
         viewer.open(tmp_path, SemanticMapper(Toy()))
