@@ -10,14 +10,15 @@ import onnx
 import pytest
 
 from imagination.checkpoints import Checkpoint
-from imagination.deployment.export import compare, export, pooled_iou
+from imagination.deployment.export import Sample, compare, export
 from imagination.deployment.load import load
 from imagination.errors import UserError
+from imagination.mapping.module import Observation
 from imagination.mapping.semantic import SemanticMapper
 from tests.conftest import ROOT, Command
 from tests.deployment.checkpoints import make_checkpoint, samples
 from tests.mapping.test_semantic import frames
-from tests.modules import CAMERA, EGO
+from tests.modules import CAMERA, EGO, Toy
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +79,7 @@ sys.meta_path.insert(0, Block())
 import numpy as np
 from imagination.deployment.load import load
 from imagination.geometry.pose import Pose
+from imagination.mapping.module import Observation
 from imagination.mapping.semantic import SemanticMapper
 mapper = SemanticMapper(load(sys.argv[1]))
 mapper.update(np.full((48, 48, 3), 90, np.uint8), np.full((48, 48), 2.0, np.float32), Pose(0.0, 0.0, 0.5))
@@ -131,11 +133,27 @@ def test_a_missing_onnxruntime_says_what_to_install(files: Path, monkeypatch: py
         load(files / "chair.onnx")
 
 
-def test_iou_by_hand() -> None:
-    answers = np.array([[[[0.9, 0.5], [0.2, 0.7]]]], np.float32)
-    labels = np.array([[[[True, False], [True, True]]]])
-    assert pooled_iou(answers, labels) == pytest.approx(2 / 4)
-    assert pooled_iou(np.zeros((1, 1, 2, 2), np.float32), np.zeros((1, 1, 2, 2), np.bool_)) == 1.0
+class Fixed(Toy):
+    """Answers the same whatever it sees."""
+
+    def __init__(self, answer: np.ndarray) -> None:
+        super().__init__()
+        self.answer = answer
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        return self.answer
+
+
+def test_a_comparison_by_hand() -> None:
+    """Of two views and two categories together; only the views' labels are looked at here."""
+    labels = np.array([[[[1, 0], [1, 1]], [[0, 0], [0, 0]]], [[[0, 0], [0, 0]], [[1, 0], [0, 0]]]], np.bool_)
+    given = [Sample(sample.observation, label) for sample, label in zip(samples(2), labels, strict=True)]
+    ours = np.array([[[0.9, 0.5], [0.2, 0.7]], [[0.1, 0.2], [0.3, 0.4]]], np.float32)
+    check = compare(Fixed(ours), Fixed(np.full((2, 2, 2), 0.6, np.float32)), given)
+    # ours: first view 2 of 3 and one false; second view 3 false and 1 missed
+    assert check.iou == pytest.approx(2 / 8) and check.reference_iou == pytest.approx(4 / 16)
+    assert check.difference == pytest.approx(0.5)
+    assert compare(Fixed(0 * ours), Fixed(ours), given[:1]).iou == 0.0
 
 
 @pytest.mark.parametrize(
