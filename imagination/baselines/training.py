@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from lightning import LightningModule
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
@@ -24,6 +24,8 @@ class SegmentationTraining(LightningModule):
         network: makes the network, given the number of `classes`: none, then each category.
         categories: told apart.
         optimizer: makes the optimiser, given parameters.
+        mirrored_answers: outside training, answer with the mean of what is said of an image and of it in a mirror, as
+            units do.
     """
 
     def __init__(
@@ -31,10 +33,12 @@ class SegmentationTraining(LightningModule):
         network: Callable[..., nn.Module],
         categories: Sequence[str],
         optimizer: Callable[..., Optimizer],
+        mirrored_answers: bool = False,
     ) -> None:
         super().__init__()
         self.categories = list(categories)
         self.optimizer = optimizer
+        self.mirrored_answers = mirrored_answers
         classes = 1 + len(self.categories)
         self.network = network(classes=classes)
         self.val_scores = MulticlassConfusionMatrix(classes)
@@ -47,9 +51,18 @@ class SegmentationTraining(LightningModule):
         """The likeliest class of each pixel at the size asked for: 0 for none, else the category's place + 1."""
         training = self.training
         self.eval()
-        classes = at_size(self.network(rgb.to(self.device)), rows, columns).argmax(dim=1)
+        classes = at_size(self(rgb.to(self.device)), rows, columns).argmax(dim=1)
         self.train(training)
         return classes.to(torch.uint8)
+
+    def forward(self, rgb: UInt8[Tensor, "b 3 h w"]) -> Float[Tensor, "b k p q"]:
+        """Logits of the classes, at the network's own size."""
+        if self.training or not self.mirrored_answers:
+            logits: Tensor = self.network(rgb)
+            return logits
+        straight, mirrored = self.network(torch.cat([rgb, rgb.flip(-1)])).chunk(2)
+        mean: Tensor = (straight + mirrored.flip(-1)) / 2
+        return mean
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         loss, _ = self._compare(batch)
@@ -81,7 +94,7 @@ class SegmentationTraining(LightningModule):
     def _compare(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """The loss, and the likeliest class of each pixel."""
         truth = batch["segmentation"].long()
-        logits = at_size(self.network(batch["rgb"]), *truth.shape[-2:])
+        logits = at_size(self(batch["rgb"]), *truth.shape[-2:])
         total = cross_entropy(logits, truth, reduction="sum")
         return total / max(1, truth.numel()), logits.argmax(dim=1)  # a process may have got no view
 

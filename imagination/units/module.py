@@ -33,12 +33,12 @@ class ImaginationModule(Unit):
             )
         self.units = nn.ModuleList(deepcopy(unit) for _ in self.categories)
 
-    def forward(
+    def logits(
         self,
         rgb: UInt8[Tensor, "b 3 h w"],
         depth: Float16[Tensor, "b 1 h w"],
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """Logits of V_object; see `Unit`."""
+        """See `Unit`; each unit looks as often as it is made to."""
         return torch.cat([unit(rgb, depth, occupied, seen) for unit in self.units], dim=1)

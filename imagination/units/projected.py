@@ -29,7 +29,7 @@ class ProjectedUnit(Unit):
         ego: grid of the maps.
         max_height: metres above the floor; higher returns, of lamps and ceilings, are left out.
         width: channels of the image features that are carried over.
-        categories: what to imagine, one map each.
+        categories, mirrored_answers: as of every `Unit`.
     """
 
     def __init__(
@@ -41,22 +41,23 @@ class ProjectedUnit(Unit):
         max_height: float,
         width: int,
         categories: Sequence[str],
+        mirrored_answers: bool = False,
     ) -> None:
-        super().__init__(categories)
+        super().__init__(categories, mirrored_answers)
         self.encoder = encoder
         self.reduce = Convolution(encoder.channels, width, kernel=1)
         self.projection = Projection(camera, ego, max_height)
         self.backbone = backbone(in_channels=2 + width + 1, image_channels=0)
         self.head = prediction_head(self.backbone.width, len(categories))
 
-    def forward(
+    def logits(
         self,
         rgb: UInt8[Tensor, "b 3 h w"],
         depth: Float16[Tensor, "b 1 h w"],
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """Logits of V_object; see `Unit`. The images are of the camera's size."""
+        """See `Unit`. The images are of the camera's size."""
         image = interpolate(self.reduce(self.encoder(rgb)), size=depth.shape[-2:], mode="bilinear")
         maps = [occupied.float(), seen.float(), self.projection(image, depth)]
         logits: Tensor = self.head(self.backbone(torch.cat(maps, dim=1)))

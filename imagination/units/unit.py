@@ -22,15 +22,19 @@ PRIOR = 0.05
 class Unit(nn.Module, ABC):
     """What every unit is: one camera image and its depth in, logits of the egocentric maps of some categories out.
 
+    A home in a mirror is a home too, so a unit may answer, outside training, with the mean of what it says of the view
+    and of the view in a mirror; the paper's units look once.
+
     Args:
         categories: what to imagine, one map each; the paper has one unit for each category.
+        mirrored_answers: whether to look twice, outside training.
     """
 
-    def __init__(self, categories: Sequence[str]) -> None:
+    def __init__(self, categories: Sequence[str], mirrored_answers: bool = False) -> None:
         super().__init__()
         self.categories = list(categories)
+        self.mirrored_answers = mirrored_answers
 
-    @abstractmethod
     def forward(
         self,
         rgb: UInt8[Tensor, "b 3 h w"],
@@ -45,6 +49,21 @@ class Unit(nn.Module, ABC):
             depth: of the same camera along its optical axis, metres; 0 where there is no return.
             occupied, seen: the depth's projection into the egocentric grid, 0 or 1.
         """
+        views = (rgb, depth, occupied, seen)
+        if self.training or not self.mirrored_answers:
+            return self.logits(*views)
+        straight, mirrored = self.logits(*(torch.cat([each, each.flip(-1)]) for each in views)).chunk(2)
+        return (straight + mirrored.flip(-1)) / 2
+
+    @abstractmethod
+    def logits(
+        self,
+        rgb: UInt8[Tensor, "b 3 h w"],
+        depth: Float16[Tensor, "b 1 h w"],
+        occupied: UInt8[Tensor, "b 1 v v"],
+        seen: UInt8[Tensor, "b 1 v v"],
+    ) -> Float[Tensor, "b c v v"]:
+        """What `forward` gives of views as they are."""
 
 
 class ImaginationUnit(Unit):
@@ -61,7 +80,7 @@ class ImaginationUnit(Unit):
         ego: grid of the maps.
         heights: bounds of the bands above the floor, ascending, metres; fewer than two give no band.
         height_jitter: while training, the heights in a view are scaled by a random factor of 1 ± this.
-        categories: what to imagine, one map each; the paper has one unit for each category.
+        categories, mirrored_answers: as of every `Unit`.
 
     Raises:
         UserError: if the heights do not ascend or the jitter is out of range.
@@ -76,21 +95,22 @@ class ImaginationUnit(Unit):
         heights: Sequence[float],
         height_jitter: float,
         categories: Sequence[str],
+        mirrored_answers: bool = False,
     ) -> None:
-        super().__init__(categories)
+        super().__init__(categories, mirrored_answers)
         self.encoder = encoder
         self.bands = HeightBands(camera, ego, heights, height_jitter)
         self.backbone = backbone(in_channels=2 + self.bands.count, image_channels=encoder.channels)
         self.head = prediction_head(self.backbone.width, len(categories))
 
-    def forward(
+    def logits(
         self,
         rgb: UInt8[Tensor, "b 3 h w"],
         depth: Float16[Tensor, "b 1 h w"],
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """Logits of V_object; see `Unit`."""
+        """See `Unit`."""
         maps = torch.cat([occupied.float(), seen.float(), self.bands(depth)], dim=1)
         logits: Tensor = self.head(self.backbone(maps, self.encoder(rgb)))
         return logits

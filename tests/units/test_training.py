@@ -72,7 +72,7 @@ class PlainUnit(Unit):
         super().__init__(["chair"])
         self.layer = torch.nn.Conv2d(2, 1, 3, padding=1)
 
-    def forward(self, rgb: Tensor, depth: Tensor, occupied: Tensor, seen: Tensor) -> Tensor:
+    def logits(self, rgb: Tensor, depth: Tensor, occupied: Tensor, seen: Tensor) -> Tensor:
         return self.layer(torch.cat([occupied, seen], dim=1).float())
 
 

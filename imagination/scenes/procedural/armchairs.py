@@ -82,10 +82,78 @@ def _tub(chair: Assembly, style: Style, palette: Palette) -> None:
     chair.add(cushion(width * 0.96, depth * 1.02, 0.13, 0.05, 0.02), cloth, (0, 0.05, seat - 0.11))
 
 
+def _recliner(chair: Assembly, style: Style, palette: Palette) -> None:
+    """A heavy chair: thick round arms, a high back of three rolls, a foot rest that is folded out or not."""
+    cloth, seat, lift, arm = (
+        palette.pick(palette.leathers + palette.fabrics),
+        style["seat"],
+        style["lift"],
+        style["arm"],
+    )
+    width, depth, back, rear = style["width"], style["depth"], style["back"], 0.2
+    deep = depth + rear
+    chair.add(cushion(width + 2 * arm, deep, seat - 0.16 - lift, 0.04), cloth, (0, 0, lift))
+    chair.add(box(width, deep * 0.8, lift + 0.01), palette.dark, (0, 0, 0))
+    chair.add(cushion(width, depth, 0.18, 0.07, 0.03), cloth, (0, rear / 2, seat - 0.17))
+    for side in (-1, 1):
+        x = side * (width + arm) / 2
+        chair.add(cushion(arm * 1.1, deep * 0.95, seat + 0.18 - lift, arm * 0.5), cloth, (x, 0.02, lift))
+    base = (0, -deep / 2 + rear / 2, seat - 0.14)
+    for number in range(3):
+        low = number * (back + 0.1) / 3
+        roll = cushion(width * 0.98, rear, (back + 0.1) / 3 + 0.03, 0.07, 0.02).moved((0, 0.01 * number, low))
+        chair.add(roll, cloth, base, tilt=style["rake"])
+    if style["rest"] > 0.08:
+        chair.add(
+            cushion(width * 0.95, style["rest"] + 0.1, 0.1, 0.04), cloth, (0, deep / 2 + 0.05, seat - 0.22)
+        )
+
+
+def _slipper(chair: Assembly, style: Style, palette: Palette) -> None:
+    """A low padded chair without arms."""
+    cloth, pad, lift = palette.pick(palette.fabrics + palette.leathers), style["pad"], style["lift"]
+    width, depth, seat = style["width"], style["depth"], style["seat"]
+    feet(chair, palette.pick(palette.woods + palette.metals), width, depth, lift)
+    chair.add(cushion(width, depth, seat - lift, 0.05, 0.02), cloth, (0, 0, lift))
+    rest = cushion(width, pad, style["back"] + 0.12, 0.05, 0.01)
+    chair.add(rest, cloth, (0, -depth / 2 + pad / 2, seat - 0.12), tilt=style["rake"])
+    if "pillow" in style:
+        chair.add(cushion(0.34, 0.12, 0.32, 0.055), palette.pick(palette.fabrics),
+                  (-0.04, -depth / 2 + pad + 0.08, seat + 0.02), tilt=style["rake"] + 0.1)  # fmt: skip
+
+
+def _rocker(chair: Assembly, style: Style, palette: Palette) -> None:
+    """Wood on two bent runners, a high back of upright slats."""
+    frame, leg, seat = palette.pick(palette.woods), style["leg"], style["seat"]
+    width, depth, back, slat = style["width"], style["depth"], style["back"], style["slat"]
+    x, y, along = width / 2, depth / 2, np.linspace(-1, 1, 9)
+    for side in (-x, x):
+        runner = np.column_stack([np.full(9, side), along * (y + 0.16), leg * 0.5 + 0.09 * along**2])
+        chair.add(tube(runner.tolist(), leg * 0.5, 5), frame)
+        chair.add(tube([(side, y * 0.8, leg), (side, y * 0.8, seat + 0.2)], leg * 0.5, 5), frame)
+        chair.add(tube([(side, -y * 0.8, leg), (side, -y * 0.8, seat)], leg * 0.5, 5), frame)
+        chair.add(box(max(style["arm"] * 0.7, leg), 2 * y, 0.025), frame, (side, 0, seat + 0.2))
+    chair.add(prism(rounded(width, depth, 0.05), 0, 0.035), frame, (0, 0, seat - 0.035))
+    base, lean = (0.0, -y + 0.03, seat), style["rake"] + 0.1
+    for end in (-x + leg / 2, x - leg / 2):
+        chair.add(tube([(end, 0, 0), (end, 0, back)], leg * 0.5, 5), frame, base, tilt=lean)
+    chair.add(box(width, 0.025, 0.09).moved((0, 0, back - 0.09)), frame, base, tilt=lean)
+    count = max(3, int(width * 0.8 / (slat + 0.03)))
+    for place in np.linspace(-x + 0.08, x - 0.08, count):
+        chair.add(box(slat, 0.014, back - 0.05).moved((float(place), 0, 0)), frame, base, tilt=lean)
+    if "pad" in style:
+        chair.add(
+            cushion(width * 0.92, depth * 0.9, 0.06, 0.025, 0.01), palette.pick(palette.fabrics), (0, 0, seat)
+        )
+
+
 BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {
     **dict.fromkeys(("club", "wing"), _easy),
     "frame_lounge": _frame_lounge,
     "tub": _tub,
+    "recliner": _recliner,
+    "slipper": _slipper,
+    "rocker": _rocker,
 }
 
 

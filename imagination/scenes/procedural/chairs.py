@@ -7,7 +7,7 @@ import numpy as np
 from imagination.scenes.procedural.chair_parts import CORNERS, backrest, bowl, wooden_arms
 from imagination.scenes.procedural.palette import Palette
 from imagination.scenes.procedural.pieces import Assembly, Piece
-from imagination.scenes.procedural.shapes import bent, box, cushion, lathe, prism, rounded, tube
+from imagination.scenes.procedural.shapes import bent, box, cushion, ellipse, lathe, prism, rounded, tube
 from imagination.scenes.procedural.styles import Style
 
 
@@ -145,12 +145,57 @@ def _tulip(chair: Assembly, style: Style, palette: Palette) -> None:
                   (0, 0, seat))  # fmt: skip
 
 
+def _bistro(chair: Assembly, style: Style, palette: Palette) -> None:
+    """A round seat on a wire frame, two bent hoops one in the other."""
+    metal, seat, radius = palette.pick(palette.metals + palette.paints[:1]), style["seat"], style["tube"]
+    width, depth, splay = style["width"], style["depth"], style["splay"]
+    for sx, sy in CORNERS:
+        top = (sx * width * 0.33, sy * depth * 0.33, seat - 0.03)
+        chair.add(tube([(top[0] + sx * splay, top[1] + sy * splay, 0.0), top], radius, 7), metal)
+    chair.add(
+        prism(ellipse(width, depth), 0, 0.035),
+        palette.pick(palette.woods + palette.fabrics),
+        (0, 0, seat - 0.035),
+    )
+    angle, base = np.linspace(0, np.pi, 13), (0.0, -depth / 2 + 0.07, seat - 0.03)
+    for share in (1.0, style["hoop"]):
+        reach = [width * 0.42 * share, 0.0, style["back"] * (0.55 + 0.45 * share)]
+        hoop = np.column_stack([np.cos(angle), np.zeros(13), np.sin(angle) ** 0.6]) * reach
+        chair.add(tube(hoop.tolist(), radius, 6), metal, base, tilt=style["rake"])
+
+
+def _folding(chair: Assembly, style: Style, palette: Palette) -> None:
+    """Crossed legs of flat bars, slats to sit on and to lean on."""
+    frame, leg, slat = palette.pick(palette.woods + palette.metals), style["leg"], style["slat"]
+    width, depth, seat, back = style["width"], style["depth"], style["seat"], style["back"]
+    x, y, lean = width / 2 - leg / 2, depth / 2, np.tan(style["rake"])
+    for side in (-1, 1):
+        upright = [
+            (side * x, y, leg * 0.4),
+            (side * x, -y * 0.6, seat),
+            (side * x, -y * 0.6 - back * lean, seat + back),
+        ]
+        chair.add(tube(upright, leg * 0.6, 4), frame)
+        chair.add(
+            tube([(side * (x - leg), -y, leg * 0.4), (side * (x - leg), y * 0.7, seat - 0.02)], leg * 0.6, 4),
+            frame,
+        )
+    count = max(3, int(depth / (slat + 0.012)))
+    for place in np.linspace(-y + slat / 2, y - slat / 2, count):
+        chair.add(box(width, slat * 0.9, 0.018), frame, (0, float(place), seat - 0.018))
+    for height in (back - slat, back * 0.45):
+        at = (0, -y * 0.6 - height * lean, seat + height)
+        chair.add(box(width, 0.016, slat), frame, at, tilt=style["rake"])
+
+
 BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {
     **dict.fromkeys(("slat_back", "ladder_back", "panel_back", "upholstered"), _wooden),
     **dict.fromkeys(("sled", "cantilever"), _tubular),
     "spindle_back": _spindle,
     "shell": _shell,
     "tulip": _tulip,
+    "bistro": _bistro,
+    "folding": _folding,
 }
 
 

@@ -2,7 +2,8 @@
 
 The range of every parameter is cut into slices: training draws from the middle, validation from beside it, test from
 both ends. So test furniture lies outside training's in every parameter, but next to it. On top of that some families
-are held out for test alone, and these draw from the whole range. `styles.families_of` lists all of it.
+are held out for test alone, and some are training's alone, where variety helps; these draw from the whole range.
+`styles.families_of` lists all of it.
 """
 
 from collections.abc import Mapping
@@ -33,6 +34,7 @@ SLICES: Mapping[Split, Intervals] = MappingProxyType(
 
 EVERY: tuple[Split, ...] = ("train", "val", "test")
 HELD_OUT: tuple[Split, ...] = ("test",)
+TRAINED: tuple[Split, ...] = ("train",)
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Family:
     splits: tuple[Split, ...] = EVERY
 
     def intervals(self, split: Split) -> dict[str, Intervals]:
-        """What each parameter may be in a split; held-out families draw from their whole range."""
+        """What each parameter may be in a split; families of one split draw from their whole range."""
         slices = SLICES[split] if self.splits == EVERY else (Interval(0.0, 1.0),)
         return {
             name: tuple(
@@ -103,6 +105,8 @@ FAMILIES: tuple[Family, ...] = (
     Family("tulip", "chair", {**SEAT, "bowl": (0.03, 0.13), "foot": (0.20, 0.27), "stem": (0.025, 0.05)}, ("pad",)),
     Family("spindle_back", "chair", {**WOODEN, "slat": (0.010, 0.020), "gap": (0.035, 0.065)}, ("arms",), HELD_OUT),
     Family("cantilever", "chair", {**SEAT, "tube": (0.010, 0.016), "gap": (0.05, 0.2)}, ("arms", "pad"), HELD_OUT),
+    Family("bistro", "chair", {**SEAT, "tube": (0.010, 0.016), "hoop": (0.3, 0.8), "splay": (0.01, 0.06)}, (), TRAINED),
+    Family("folding", "chair", {**SEAT, "slat": (0.04, 0.09), "leg": (0.018, 0.032)}, (), TRAINED),
     Family("task_swivel", "office_chair", {**SWIVEL, "back": (0.38, 0.62), "gap": (0.04, 0.18)}, ("armrests",)),
     Family("executive_swivel", "office_chair", {**SWIVEL, "back": (0.58, 0.82), "pad": (0.06, 0.13)}, ("armrests",)),
     Family("bucket_swivel", "office_chair", {**SWIVEL, "back": (0.30, 0.46), "bowl": (0.04, 0.14)}, ("arms",)),
@@ -110,6 +114,12 @@ FAMILIES: tuple[Family, ...] = (
     Family("club", "armchair", {**EASY, "back": (0.30, 0.52), "lift": (0.03, 0.14)}, ("pillow",)),
     Family("frame_lounge", "armchair", {**EASY, "back": (0.38, 0.62), "leg": (0.028, 0.055)}, ("pillow",)),
     Family("tub", "armchair", {**EASY, "back": (0.26, 0.44), "lift": (0.05, 0.18)}),
+    Family("recliner", "armchair", {**EASY, "back": (0.50, 0.80), "lift": (0.02, 0.10), "rest": (0.0, 0.20)}, (),
+           TRAINED),
+    Family("slipper", "armchair", {"width": (0.52, 0.80), "depth": (0.50, 0.66), "seat": (0.34, 0.46),
+           "rake": (0.1, 0.3), "back": (0.34, 0.62), "pad": (0.10, 0.20), "lift": (0.04, 0.20)}, ("pillow",), TRAINED),
+    Family("rocker", "armchair", {**EASY, "back": (0.50, 0.75), "leg": (0.026, 0.045), "slat": (0.03, 0.09)}, ("pad",),
+           TRAINED),
     Family("wing", "armchair", {**EASY, "back": (0.58, 0.75), "lift": (0.10, 0.18)}, (), HELD_OUT),
     Family("four_leg_table", "dining_table", {**TOP, "leg": (0.045, 0.10), "apron": (0.05, 0.10)}, ("round_corners",)),
     Family("trestle_table", "dining_table", {**TOP, "leg": (0.05, 0.11), "inset": (0.15, 0.40)}),
@@ -148,4 +158,4 @@ FAMILIES: tuple[Family, ...] = (
     Family("wide_bunk", "bunk_bed", {"width": (1.05, 1.40), "length": (1.95, 2.10), "mattress": (0.36, 0.48),
            "upper": (1.32, 1.55), "post": (0.06, 0.10)}, (), HELD_OUT),
 )  # fmt: skip
-"""Every family; test knows more of them than training and validation do."""
+"""Every family."""
