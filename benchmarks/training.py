@@ -14,11 +14,11 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.buffer import views_of_a_home
 from benchmarks.measure import Figure, medians
 from benchmarks.subjects import SEED, config
+from imagination.data.augmentation import mirrored
 from imagination.data.batches import Batch, assemble
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.geometry.morphology import kernel_cells
 from imagination.train import precision
-from imagination.units.loss import imagination_loss
 from imagination.units.training import UnitTraining
 
 UNITS = {
@@ -73,7 +73,7 @@ def run(folder: str) -> list[Figure]:
                     )
                 )
                 if kind == kinds[-1]:
-                    figures += engineering(folder, kind, batch, times["step"])
+                    figures += engineering(folder, kind, batch, step)
                     OPERATORS[:] = operators(step)
     return figures
 
@@ -90,7 +90,9 @@ def batches(folder: str) -> tuple[Batch, Callable[[], Batch]]:
     rng = np.random.default_rng(SEED)
 
     def draw() -> Batch:
-        return assemble(buffer.draw(desk.scale.batch_size, rng), [0], *kernels)
+        views = buffer.draw(desk.scale.batch_size, rng)
+        which = rng.random(desk.scale.batch_size) < desk.scale.mirrored_share
+        return assemble(mirrored(views, which), [0], *kernels)
 
     return draw(), draw
 
@@ -102,18 +104,18 @@ def training_step(
     batch: Batch,
     prepare: Callable[[UnitTraining], object] = lambda module: None,
 ) -> tuple[Callable[[], None], int]:
-    """One step (forward, loss, backward, Adam) as a function, and the FLOP of its products and convolutions."""
+    """One step (forward, loss, backward, optimiser, as configured) as a function, and the FLOP of its products and convolutions."""
     torch.manual_seed(SEED)
     module: UnitTraining = instantiate(config(folder, *choices).model.module)
     prepare(module)
-    optimizer = torch.optim.Adam(module.parameters())
+    optimizer = module.optimizer(module.parameters())
 
     def casting() -> AbstractContextManager[object]:
         return torch.autocast("cpu", torch.bfloat16) if kind.startswith("bf16") else nullcontext()
 
     def step() -> None:
         with casting():
-            loss, _ = imagination_loss(module(batch), batch["label"], batch["neighbourhood"])
+            loss, _ = module.loss(module(batch), batch["label"], batch["neighbourhood"])
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -123,8 +125,8 @@ def training_step(
     return step, counter.get_total_flops()
 
 
-def engineering(folder: str, kind: str, batch: Batch, default: float) -> list[Figure]:
-    """What memory formats and torch.compile change of the default unit's step."""
+def engineering(folder: str, kind: str, batch: Batch, default: Callable[[], None]) -> list[Figure]:
+    """What memory formats and torch.compile change of the default unit's step, in turns with it."""
 
     def planar(module: UnitTraining) -> None:
         module.unit.to(memory_format=torch.contiguous_format)
@@ -134,12 +136,11 @@ def engineering(folder: str, kind: str, batch: Batch, default: float) -> list[Fi
     figures = []
     for name, prepare in ways.items():
         step, _ = training_step(folder, [], kind, batch, prepare)
-        seconds = medians({"step": step}, 4.0, 3)["step"]
+        times = medians({"step": step, "default": default}, 8.0, 3)
         size = len(batch["rgb"])
+        speed, configured = size / times["step"], size / times["default"]
         figures.append(
-            Figure(
-                f"the same with {name}, {kind}", size / seconds, "samples/s", size / default, "as configured"
-            )
+            Figure(f"the same with {name}, {kind}", speed, "samples/s", configured, "as configured")
         )
     return figures
 

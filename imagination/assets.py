@@ -4,8 +4,6 @@ import sys
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-import yaml
-
 from imagination import plugins
 from imagination.errors import UserError, check_choice
 
@@ -33,23 +31,13 @@ class Provider(Protocol):
         """
 
 
-def providers() -> dict[str, str]:
-    """What can be fetched, and the `_target_` of its provider."""
-    found = {}
-    for plugin in plugins.activate():
-        assert plugin.conf is not None
-        for path in sorted((plugin.conf / GROUP).glob("*.yaml")):
-            found[path.stem] = str(yaml.safe_load(path.read_text())["_target_"])
-    return found
-
-
 def main(arguments: list[str]) -> None:
     """The command.
 
     Raises:
         UserError: on an unknown name or argument, or what the provider raises.
     """
-    known = providers()
+    known = {name: target for _, name, target in plugins.provided(GROUP)}
     if not arguments:
         print(f"{USAGE}\nNAME is one of: {', '.join(sorted(known)) or '(no plugin offers any)'}")
         return

@@ -8,8 +8,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple
 
-import yaml
-
 from imagination import plugins
 
 GROUP = "doctor"
@@ -70,10 +68,8 @@ def of_plugins() -> Iterator[Finding]:
     """Findings about the plugins, and their own."""
     for plugin in plugins.discover():
         yield Finding(f"plugin {plugin.name}", not plugin.problem, plugin.problem or plugin.origin)
-    for plugin in plugins.activate():
-        assert plugin.conf is not None
-        for path in sorted((plugin.conf / GROUP).glob("*.yaml")):
-            yield from _look(plugin.name, yaml.safe_load(path.read_text())["_target_"])
+    for plugin_name, _, target in plugins.provided(GROUP):
+        yield from _look(plugin_name, target)
 
 
 def _look(plugin: str, target: str) -> Iterator[Finding]:

@@ -78,6 +78,14 @@ def activate() -> list[Plugin]:
     return sound
 
 
+def provided(group: str) -> Iterator[tuple[str, str, str]]:
+    """What sound plugins put into a folder of their conf trees: plugin, name of the file, its `_target_`."""
+    for plugin in activate():
+        assert plugin.conf is not None
+        for path in sorted((plugin.conf / group).glob("*.yaml")):
+            yield plugin.name, path.stem, str(yaml.safe_load(path.read_text())["_target_"])
+
+
 def check(plugin: Plugin) -> str:
     """Import a plugin's packages and every `_target_` that its conf names; the problem met, or an empty string."""
     from hydra.utils import get_object

@@ -57,12 +57,11 @@ class SegmentationTraining(LightningModule):
 
     def forward(self, rgb: UInt8[Tensor, "b 3 h w"]) -> Float[Tensor, "b k p q"]:
         """Logits of the classes, at the network's own size."""
+        logits: Tensor = self.network(rgb)
         if self.training or not self.mirrored_answers:
-            logits: Tensor = self.network(rgb)
             return logits
-        straight, mirrored = self.network(torch.cat([rgb, rgb.flip(-1)])).chunk(2)
-        mean: Tensor = (straight + mirrored.flip(-1)) / 2
-        return mean
+        mirrored: Tensor = self.network(rgb.flip(-1))
+        return (logits + mirrored.flip(-1)) / 2
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         loss, _ = self._compare(batch)

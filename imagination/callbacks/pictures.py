@@ -50,11 +50,16 @@ class Pictures(Callback):
         if batch_idx > 0 or not trainer.is_global_zero:
             return
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
-        picks = torch.linspace(0, len(batch["rgb"]) - 1, min(self.views, len(batch["rgb"]))).long().tolist()
-        chosen = {name: tensor[picks] for name, tensor in batch.items()}
+        chosen = spread(batch, self.views)
         prediction = cast(Model, pl_module).predict(chosen).cpu().numpy()
         arrays = {name: tensor.cpu().numpy() for name, tensor in chosen.items()}
         add_image(trainer, "views/val", draw(arrays, prediction, self.valid_threshold, data.neighbourhood))
+
+
+def spread(batch: Batch, most: int) -> Batch:
+    """Some of a batch's views, evenly spread."""
+    picks = torch.linspace(0, len(batch["rgb"]) - 1, min(most, len(batch["rgb"]))).long().tolist()
+    return {name: tensor[picks] for name, tensor in batch.items()}
 
 
 def add_image(trainer: Trainer, tag: str, image: UInt8[np.ndarray, "h w 3"]) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import UInt8
 from lightning import Callback, LightningModule, Trainer
 
-from imagination.callbacks.pictures import add_image
+from imagination.callbacks.pictures import add_image, spread
 from imagination.data.batches import Batch
 from imagination.data.datamodule import SceneData
 from imagination.errors import check_range
@@ -35,8 +35,8 @@ class SegmentationPictures(Callback):
         if batch_idx > 0 or not trainer.is_global_zero:
             return
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
-        picks = np.linspace(0, len(batch["rgb"]) - 1, min(self.views, len(batch["rgb"]))).astype(int)
-        rgb, truth = batch["rgb"][picks], batch["segmentation"][picks]
+        chosen = spread(batch, self.views)
+        rgb, truth = chosen["rgb"], chosen["segmentation"]
         predicted = cast(Segmenter, pl_module).segment(rgb, *truth.shape[-2:])
         colours = [row.colour for row in data.observer.categories if row.name in data.unit_categories]
         images = rgb.cpu().permute(0, 2, 3, 1).numpy()

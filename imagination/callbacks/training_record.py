@@ -5,6 +5,7 @@ from typing import Any
 
 from lightning import Callback, LightningModule, Trainer
 
+from imagination.callbacks.pictures import last_step
 from imagination.data.batches import Batch
 from imagination.ranks import ranks
 
@@ -37,7 +38,7 @@ class TrainingRecord(Callback):
         self._batch_end = now
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        pl_module.log("step", float(trainer.global_step - 1))  # the round's last
+        pl_module.log("step", float(last_step(trainer)))
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._counts["best"] = max(self._counts["best"], float(trainer.callback_metrics["val/iou"]))

@@ -49,11 +49,11 @@ class Unit(nn.Module, ABC):
             depth: of the same camera along its optical axis, metres; 0 where there is no return.
             occupied, seen: the depth's projection into the egocentric grid, 0 or 1.
         """
-        views = (rgb, depth, occupied, seen)
+        logits = self.logits(rgb, depth, occupied, seen)
         if self.training or not self.mirrored_answers:
-            return self.logits(*views)
-        straight, mirrored = self.logits(*(torch.cat([each, each.flip(-1)]) for each in views)).chunk(2)
-        return (straight + mirrored.flip(-1)) / 2
+            return logits
+        mirrored = self.logits(*(view.flip(-1) for view in (rgb, depth, occupied, seen)))
+        return (logits + mirrored.flip(-1)) / 2
 
     @abstractmethod
     def logits(

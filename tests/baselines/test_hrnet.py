@@ -77,6 +77,17 @@ def test_one_batch_can_be_learnt_by_heart_and_segmenting_leaves_no_trace() -> No
     )
 
 
+def test_mirrored_answers_are_the_mean_of_both_looks() -> None:
+    trained, views = module(), batch()["rgb"]
+    trained(views), trained.eval()
+    with torch.no_grad():
+        straight, mirrored = trained(views), trained(views.flip(-1)).flip(-1)
+        trained.mirrored_answers = True
+        torch.testing.assert_close(trained(views), (straight + mirrored) / 2)
+        torch.testing.assert_close(trained(views.flip(-1)).flip(-1), trained(views))
+    assert (straight - mirrored).abs().max() > 0.01
+
+
 def test_scores_are_those_of_the_pixels() -> None:
     trainer = lightning.Trainer(
         max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,

@@ -58,6 +58,23 @@ def test_unit_fulfils_its_contract(variant: str, backbone: str, encoder: str) ->
     torch.testing.assert_close(logits[1:], alone, rtol=1e-4, atol=1e-4)  # views do not see each other
 
 
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_mirrored_answers_are_the_mean_of_both_looks(variant: str) -> None:
+    twice, once = (
+        build(f"+model={variant}", f"scale.mirrored_answers={answers}", "scale.height_jitter=0")
+        for answers in ("true", "false")
+    )
+    views = inputs(batch_for())
+    with torch.no_grad():
+        assert torch.equal(twice(*views), once(*views))  # training looks once
+        twice.eval(), once.eval()
+        straight, mirrored = once(*views), once(*(each.flip(-1) for each in views)).flip(-1)
+        torch.testing.assert_close(twice(*views), (straight + mirrored) / 2, rtol=1e-4, atol=1e-4)
+        with torch.autocast("cpu", torch.bfloat16):
+            assert twice(*views).isfinite().all()
+    assert (straight - mirrored).abs().max() > 0.01
+
+
 @pytest.mark.parametrize("cells", [9, 33, 87, 261])
 @pytest.mark.parametrize("backbone", BACKBONES)
 def test_any_grid_will_do(backbone: str, cells: int) -> None:
