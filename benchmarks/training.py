@@ -104,7 +104,7 @@ def training_step(
     batch: Batch,
     prepare: Callable[[UnitTraining], object] = lambda module: None,
 ) -> tuple[Callable[[], None], int]:
-    """One step (forward, loss, backward, optimiser, as configured) as a function, and the FLOP of its products and convolutions."""
+    """One step as configured (forward, loss, backward, optimiser), and the FLOP of its products and convolutions."""
     torch.manual_seed(SEED)
     module: UnitTraining = instantiate(config(folder, *choices).model.module)
     prepare(module)
