@@ -581,4 +581,18 @@ MUTATIONS = [
         "self._lowered == self.lowerings and self._waited > self.patience",
         "tests/callbacks",
     ),
+    Mutation(
+        "unit: the mirrored answer is not turned back",
+        "units/unit.py",
+        "return (logits + mirrored.flip(-1)) / 2",
+        "return (logits + mirrored) / 2",
+        "tests/units/test_contract.py",
+    ),
+    Mutation(
+        "HRNet: the mirrored answer is not turned back",
+        "baselines/training.py",
+        "return (logits + mirrored.flip(-1)) / 2",
+        "return (logits + mirrored) / 2",
+        "tests/baselines/test_hrnet.py",
+    ),
 ]
