@@ -166,7 +166,8 @@ def test_the_study_runs_and_does_nothing_twice(command: Command, tmp_path: Path)
         assert (tables[0] / name).read_bytes() == (tables[1] / name).read_bytes()
     rows = list(csv.DictReader((tables[0] / "mapping.csv").read_text().splitlines()))
     approaches = {
-        "seg_gt", "seg_hrnet", "imagination_seen", "seen_dilated", "imagination", "rgb_shuffled", "oracle",
+        "seg_gt", "seg_hrnet", "imagination_seen", "seen_dilated", "imagination", "imagination_dilated",
+        "rgb_shuffled", "oracle",
     }  # fmt: skip
     assert {(row["approach"], row["category"], row["cell_width"]) for row in rows} == set(
         product(approaches, ["chair", "bed"], ["3", "2.5"])

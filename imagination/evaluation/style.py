@@ -12,6 +12,7 @@ LABELS = {
     "imagination_seen": "Imagination (seen)",
     "seen_dilated": "Seen, grown",
     "imagination": "Imagination",
+    "imagination_dilated": "Imagination, grown",
     "rgb_shuffled": "RGB shuffled",
     "oracle": "Oracle",
 }
@@ -23,6 +24,7 @@ MEANINGS = {
     "imagination_seen": "the unit's prediction in cells that depth saw",
     "seen_dilated": "imagination (seen), grown by the best kernel: does imagination do more than grow?",
     "imagination": "the unit's whole valid prediction, also where nothing was seen",
+    "imagination_dilated": "imagination, grown as imagination (seen) is: what imagining adds to growing",
     "rgb_shuffled": "imagination, each view with the colours of another one: does the unit look at them?",
     "oracle": "the truth within the imaginable area of the views: the most that can be imagined",
 }
@@ -37,12 +39,13 @@ COLOURS = {
     "imagination_seen": "#e69f00",
     "seen_dilated": "#cc79a7",
     "imagination": "#d55e00",
+    "imagination_dilated": "#c9b200",
     "rgb_shuffled": "#999999",
     "oracle": "#009e73",
 }
-"""The palette of Okabe and Ito (2008), which people who see few colours can tell apart."""
+"""The palette of Okabe and Ito (2008) with a darker yellow: people who see few colours can tell them apart."""
 
-SPARE = ("#7f3c8d", "#b2a300", "#3969ac", "#80ba5a", "#a5673f")
+SPARE = ("#7f3c8d", "#2f4b7c", "#3969ac", "#80ba5a", "#a5673f")
 """Colours of other approaches, in their order."""
 
 THEMES: dict[str, dict[str, Any]] = {

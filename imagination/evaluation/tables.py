@@ -3,6 +3,7 @@
 import csv
 import io
 from collections.abc import Sequence
+from itertools import product
 
 from rich.table import Table
 
@@ -44,6 +45,9 @@ SCREEN_PAIRED = "difference", "category", "cell_width", "iou_pooled", "ci_low", 
 REFERENCE = "imagination"
 """The approach that the others are compared with in pairs."""
 
+GROWN = "imagination_dilated", "seen_dilated"
+"""Compared with each other as well: both are grown, so that they differ in imagination alone."""
+
 
 def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -> list[Row]:
     """One row for each approach, category and cell width."""
@@ -79,21 +83,27 @@ def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -
     return rows
 
 
+def pairs(approaches: Sequence[str]) -> list[tuple[str, str]]:
+    """Which approaches are compared in pairs: `REFERENCE` with each other one, and those of `GROWN`."""
+    found = [(REFERENCE, name) for name in approaches if name != REFERENCE and REFERENCE in approaches]
+    return found + ([GROWN] if set(GROWN) <= set(approaches) else [])
+
+
 def paired_rows(report: Report, protocol: MappingProtocol) -> list[Row]:
-    """Differences of pooled IoU between `REFERENCE` and each other approach, resampled in pairs over homes."""
+    """Differences of pooled IoU between approaches, resampled in pairs over homes."""
     rows = []
-    for key, counts in report.counts.items():
-        reference = key._replace(approach=REFERENCE)
-        if key == reference or reference not in report.counts:
+    compared = pairs(list(dict.fromkeys(key.approach for key in report.counts)))
+    for (first, second), (key, counts) in product(compared, report.counts.items()):
+        if key.approach != second:
             continue
+        ours = report.counts[key._replace(approach=first)]
         draws = resample(len(counts), protocol.resamples, protocol.seed)
-        ours = report.counts[reference]
         low, high = interval(bootstrap_iou(ours, draws) - bootstrap_iou(counts, draws))
         rows.append(
             {
                 "category": key.category,
                 "cell_width": f"{key.cell_width:g}",
-                "difference": f"{REFERENCE} - {key.approach}",
+                "difference": f"{first} - {second}",
                 "iou_pooled": f"{pooled_iou(ours) - pooled_iou(counts):+.4f}",
                 "ci_low": f"{low:+.4f}",
                 "ci_high": f"{high:+.4f}",

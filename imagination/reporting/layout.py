@@ -12,7 +12,7 @@ from jaxtyping import Float64, Int64
 from imagination.evaluation.metrics import CONFIDENCE, bootstrap_iou, interval, iou, resample
 from imagination.evaluation.outcome import Key
 from imagination.evaluation.style import WITH_TRUTH, label
-from imagination.evaluation.tables import REFERENCE
+from imagination.evaluation.tables import pairs
 from imagination.reporting import paper
 from imagination.reporting.results import Results, Runs, by_home
 
@@ -148,15 +148,15 @@ def strengthened(names: Sequence[str], lines: Sequence[Line]) -> list[Line]:
 
 
 def _in_pairs(results: Results, columns: list[Column]) -> list[Layout]:
-    """Differences between `REFERENCE` and each other approach, over the runs that both have."""
-    others = [name for name in results.approaches if name != REFERENCE]
-    if REFERENCE not in results.approaches or not others:
+    """Differences between approaches, over the runs that both have."""
+    compared = pairs(results.approaches)
+    if not compared:
         return []
     note = f"With {CONFIDENCE:.0%} intervals over homes resampled in pairs; bold where the interval leaves out 0."
     return [
         Layout(
             f"paired_{measure}", title, note, columns,
-            [("Ours", [_difference(results, other, columns, measure) for other in others])], digits,
+            [("Ours", [_difference(results, pair, columns, measure) for pair in compared])], digits,
         )
         for measure, title, digits in (
             ("iou", "IoU in pairs", "+.3f"), ("correct_pixels", "Correct pixels in pairs", "+.0f"),
@@ -164,12 +164,10 @@ def _in_pairs(results: Results, columns: list[Column]) -> list[Layout]:
     ]  # fmt: skip
 
 
-def _difference(results: Results, other: str, columns: list[Column], measure: str) -> Line:
+def _difference(results: Results, pair: tuple[str, str], columns: list[Column], measure: str) -> Line:
     cells: list[Cell | None] = []
     for at in columns:
-        ours, theirs = (
-            results.counts.get(Key(name, at.category, at.cell_width), {}) for name in (REFERENCE, other)
-        )
+        ours, theirs = (results.counts.get(Key(name, at.category, at.cell_width), {}) for name in pair)
         both = [run for run in ours if run in theirs]
         if not both:
             cells.append(None)
@@ -178,7 +176,7 @@ def _difference(results: Results, other: str, columns: list[Column], measure: st
         other_samples, other_value = bootstrap(results, {run: theirs[run] for run in both}, measure)
         low, high = interval(samples - other_samples)
         cells.append(Cell(value - other_value, low, high, strong=low > 0 or high < 0))
-    return Line(f"{label(REFERENCE)} − {label(other)}", cells)
+    return Line(" − ".join(map(label, pair)), cells)
 
 
 def to_csv(layout: Layout) -> str:

@@ -75,6 +75,7 @@ def make_protocol(**changes: object) -> MappingProtocol:
         "imagination_seen": Approach(SeenPrediction(), average),
         "seen_dilated": Approach(SeenPrediction(), average, "grow", (0.0, 0.3)),
         "imagination": Approach(ValidPrediction(0.5, 0.6), average),
+        "imagination_dilated": Approach(ValidPrediction(0.5, 0.6), average, "grow", (0.0, 0.3)),
         "oracle": Approach(ImaginableArea(1.0), Max(), "truth"),
     }
     settings = {

@@ -181,7 +181,7 @@ def test_tables_can_be_recounted_from_the_saved_maps(
                     key = str(name), str(category), f"{file['cell_width']:g}"
                     totals[key] = totals.get(key, 0) + np.array([np.sum(cells) for cells in outcomes])
     rows = tables.mapping_rows(found, protocol, 0.1)
-    assert len(rows) == len(totals) == 6 * 2 * 2
+    assert len(rows) == len(totals) == 7 * 2 * 2
     for row in rows:
         recounted = totals[row["approach"], row["category"], row["cell_width"]].tolist()
         correct, false, truth = recounted[:3]
@@ -252,7 +252,7 @@ def test_workers_change_nothing(subject: Subject, report: Report, tmp_path: Path
 def test_approaches_that_lack_their_network_are_left_out_unless_asked_for() -> None:
     protocol = make_protocol()
     assert list(protocol.available({"maps"}).approaches) == [
-        "seg_gt", "imagination_seen", "seen_dilated", "imagination", "oracle",
+        "seg_gt", "imagination_seen", "seen_dilated", "imagination", "imagination_dilated", "oracle",
     ]  # fmt: skip
     assert list(protocol.available({"images"}).approaches) == ["seg_gt", "seg_hrnet", "oracle"]
     some = make_protocol(only=["imagination", "seg_gt"])

@@ -60,7 +60,7 @@ def test_the_tables_are_what_the_counts_say(tmp_path: Path, report: Report) -> N
     text = (tmp_path / "mapping.csv").read_text()
     assert text.startswith(COLUMNS + ",")
     rows = {(row["approach"], row["cell_width"]): row for row in csv.DictReader(text.splitlines())}
-    assert len(rows) == 12
+    assert len(rows) == 14
     counts = report.counts[Key("imagination", "chair", 1.5)]
     row = rows["imagination", "1.5"]
     assert int(row["runs"]) == 6
@@ -88,9 +88,18 @@ def test_pairs_are_differences_with_an_interval(tmp_path: Path, report: Report) 
         "imagination - seg_hrnet",
         "imagination - imagination_seen",
         "imagination - seen_dilated",
+        "imagination - imagination_dilated",
         "imagination - oracle",
+        "imagination_dilated - seen_dilated",
     ]
+    iou = {
+        (row["approach"], row["category"], row["cell_width"]): float(row["iou_pooled"])
+        for row in tables.mapping_rows(report, make_protocol(), 0.1)
+    }
     for row in rows:
+        ours, theirs = row["difference"].split(" - ")
+        place = row["category"], row["cell_width"]
+        assert float(row["iou_pooled"]) == pytest.approx(iou[ours, *place] - iou[theirs, *place], abs=1.1e-4)
         assert float(row["ci_low"]) <= float(row["iou_pooled"]) <= float(row["ci_high"])
 
 
