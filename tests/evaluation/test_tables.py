@@ -73,7 +73,7 @@ def test_the_tables_are_what_the_counts_say(tmp_path: Path, report: Report) -> N
     for name, part in (("iou_seen", seen), ("iou_unseen", counts - seen)):
         assert float(row[name]) == pytest.approx(part[..., 0].sum() / part[..., 1:].sum(), abs=5e-5)
     per_run = list(csv.DictReader((tmp_path / "runs.csv").read_text().splitlines()))
-    assert len(per_run) == 12 * 6
+    assert len(per_run) == 14 * 6
     assert sum(
         int(r["correct_pixels"])
         for r in per_run
