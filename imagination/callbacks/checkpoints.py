@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 
 PATHS = ("best_model_path", "kth_best_model_path", "last_model_path")
@@ -24,3 +25,15 @@ class MovableCheckpoint(ModelCheckpoint):
         paths = {key: here(state_dict[key]) for key in PATHS}
         best = {here(name): score for name, score in state_dict["best_k_models"].items()}
         super().load_state_dict({**state_dict, **paths, "best_k_models": best, "dirpath": self.dirpath})
+
+
+class BestCheckpoint(MovableCheckpoint):
+    """Saves after rounds that were validated, and has the last one validated: its weights are the likeliest best."""
+
+    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if trainer.current_epoch + 1 == trainer.max_epochs:
+            trainer.check_val_every_n_epoch = 1
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if (trainer.current_epoch + 1) % (trainer.check_val_every_n_epoch or 1) == 0:
+            super().on_train_epoch_end(trainer, pl_module)

@@ -172,7 +172,8 @@ def to_screen(rows: Sequence[Row], title: str, columns: Sequence[str]) -> Table:
     table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
     for column in columns:
         left = column in ("approach", "category", "difference")
-        table.add_column(column.replace("_", "\n"), justify="left" if left else "right", no_wrap=True)
+        wraps = column == "difference"  # of two long names
+        table.add_column(column.replace("_", "\n"), justify="left" if left else "right", no_wrap=not wraps)
     for row in rows:
         table.add_row(*(row[column] for column in columns))
     return table

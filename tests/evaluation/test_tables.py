@@ -137,6 +137,10 @@ def test_the_screen_shows_every_row_in_eighty_columns(report: Report) -> None:
     shown = console.file.getvalue()
     assert "…" not in shown
     assert all(row["iou_pooled"] in shown for row in rows)
+    console.print(
+        tables.to_screen(tables.paired_rows(report, make_protocol()), "In pairs", tables.SCREEN_PAIRED)
+    )
+    assert "…" not in console.file.getvalue()
 
 
 def test_colours_tell_correct_false_and_missed_apart(report: Report) -> None:
