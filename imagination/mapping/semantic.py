@@ -89,6 +89,9 @@ class SemanticMapper:
 
     Raises:
         UserError: if the camera is too far from the units', or the grid's resolution is not theirs.
+
+    Attributes:
+        frames: registered so far.
     """
 
     def __init__(
@@ -105,7 +108,7 @@ class SemanticMapper:
         self.module, self.description = module, module.description
         self.camera = camera or RgbdCamera.of(self.description.camera)
         self.floor_height, self.frame, self.limits = floor_height, frame, limits or Limits()
-        self.grows = grid is None
+        self.grows, self.frames = grid is None, 0
         self._rule, self._start = rule or MovingAverage(), start
         self._alignment = Alignment(self.camera, self.description.camera)
         self._warned = False
@@ -153,6 +156,7 @@ class SemanticMapper:
         outside = 0 if self.grows else mapper.outside(mask, place.pose)
         imagined = np.concatenate([np.zeros_like(view.seen)[None], said.mask & ~view.seen])
         mapper.register(values, mask, place.pose, imagined)
+        self.frames += 1
         return Update(place.pose, rgb, depth, view.occupied, view.seen, probabilities, said.mask, outside)
 
     @property
