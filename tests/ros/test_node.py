@@ -19,7 +19,7 @@ from tests.rooms import tiny_room
 sys.path.append(str(ROOT / "plugins" / "ros"))
 
 from imagination_ros.codec import GRID, MARKERS, Codec  # noqa: E402
-from imagination_ros.node import MappingNode  # noqa: E402
+from imagination_ros.node import MappingNode, topics_of  # noqa: E402
 
 ROLES = {
     COLOUR: "colour",
@@ -259,6 +259,11 @@ def test_images_that_cannot_be_mapped_are_counted_by_the_reason(frames: list[Tak
     assert "3 x no camera_info of depth" in summary(without("/camera/depth/camera_info"))
     assert "3 x no transforms from 'camera_optical' to 'map'" in summary(without("/tf"))
     assert "3 x no transforms from 'camera_optical' to 'earth'" in summary(list, world="earth")
+
+
+def test_topics_are_names_that_ros_allows() -> None:
+    names = topics_of(["chair", "night-stand", "night_stand", "3d--printer", "a-"])
+    assert names == ["chair", "night_stand", "night_stand2", "category_3d_printer", "a_"]
 
 
 def test_random_bytes_never_get_through() -> None:

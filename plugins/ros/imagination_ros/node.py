@@ -4,10 +4,11 @@ Frames that come faster than they are mapped are dropped, the latest wins. Bad m
 """
 
 import logging
+import re
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -142,7 +143,8 @@ class MappingNode:
         self._published = time.monotonic()
         maps = self.mapper.maps
         layers = {"occupancy": maps.occupancy_layer()}
-        layers |= {category: maps.category_layer(category) for category in maps.categories}
+        for category, topic in zip(maps.categories, topics_of(maps.categories), strict=True):
+            layers[topic] = maps.category_layer(category)
         for name, layer in layers.items():
             self.publish(name, GRID, self.codec.occupancy_grid(layer, maps.grid, maps.frame, stamp))
         colours = dict(zip(maps.categories, self.mapper.description.colours, strict=True))
@@ -255,3 +257,14 @@ class MappingNode:
         self.counts[what] += 1
         if self.counts[what] == 1:
             log.warning("%s (told once, counted from now on)", told)
+
+
+def topics_of(categories: Sequence[str]) -> list[str]:
+    """Names that ROS allows, one for each category: no dash, no digit first, no two underscores in a row."""
+    found: list[str] = []
+    for category in categories:
+        topic = re.sub("[-_]+", "_", category if category[0].isalpha() else f"category_{category}")
+        while topic in found:
+            topic += "2"
+        found.append(topic)
+    return found
