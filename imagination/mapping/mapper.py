@@ -87,7 +87,8 @@ class Mapper:
     @property
     def written(self) -> Bool[np.ndarray, "c h w"]:
         """Cells that a view has written."""
-        return np.not_equal(self._count, 0)
+        written: np.ndarray = np.not_equal(self._count, 0)
+        return written
 
     def register(
         self,
