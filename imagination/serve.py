@@ -24,8 +24,8 @@ log = logging.getLogger(__name__)
 class Server(Protocol):
     """Receives a robot's images and poses, and publishes maps."""
 
-    def serve(self, make_mapper: Callable[[RgbdCamera], SemanticMapper]) -> SemanticMapper | None:
-        """Map until the process is interrupted; the mapper, if there was a frame. Logs what was left out.
+    def serve(self, make_mapper: Callable[[RgbdCamera], SemanticMapper]) -> None:
+        """Map until the process is interrupted. Logs what was left out.
 
         Args:
             make_mapper: makes the mapper once the camera is known.
@@ -40,17 +40,25 @@ def serve(config: DictConfig) -> None:
     """Serve until interrupted, then save the map."""
     module = configured.module_of(config)
     server: Server = instantiate(config.server, _convert_="all")
+    mappers: list[SemanticMapper] = []
+
+    def make_mapper(camera: RgbdCamera) -> SemanticMapper:
+        mappers.append(configured.mapper_of(config, module, camera))
+        return mappers[-1]
+
     folder = runs.create_folder(Path(config.paths.outputs) / config.name, runs.now())
     config.paths.run = str(folder)
     with runs.logging_to(folder / "run.log"):
         runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
-        mapper = server.serve(lambda camera: configured.mapper_of(config, module, camera))
-        if mapper is None:
-            log.warning("No frame could be mapped; nothing is saved")
-            return
-        mapper.save(folder, config.threshold)
-        runs.point_latest(folder)
-        log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
+        try:
+            server.serve(make_mapper)
+        finally:  # whatever ended it, the map is kept
+            if mappers and mappers[-1].frames:
+                mappers[-1].save(folder, config.threshold)
+                runs.point_latest(folder)
+                log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
+            else:
+                log.warning("No frame could be mapped; nothing is saved")
 
 
 def main() -> None:

@@ -64,10 +64,14 @@ class Intrinsics:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
-    def field_of_view(self) -> float:
-        """Horizontal, radians."""
-        left, right = (self.cx + 0.5) / abs(self.fx), (self.width - 0.5 - self.cx) / abs(self.fx)
-        return float(np.arctan(left) + np.arctan(right))
+    def fields_of_view(self) -> tuple[float, float]:
+        """Horizontal and vertical, radians."""
+        axes = (self.fx, self.cx, self.width), (self.fy, self.cy, self.height)
+        horizontal, vertical = (
+            float(np.arctan((centre + 0.5) / abs(focal)) + np.arctan((size - 0.5 - centre) / abs(focal)))
+            for focal, centre, size in axes
+        )
+        return horizontal, vertical
 
     def scaled(self, factor: float) -> "Intrinsics":
         """Those of the image brought to `factor` times its size."""
@@ -180,6 +184,10 @@ class Alignment:
         self._colour = colour
         self._is_target = camera.depth is None and _near(camera.colour, Intrinsics.of(target))
         self._beside = not np.allclose(camera.depth_to_colour, np.eye(4), atol=1e-9)
+        if self._beside:
+            # returns that lie closer than half a pixel of the target tell nothing more
+            self._stride = max(1, int(abs(camera.depth_intrinsics.fx) / (2 * target.focal_length)))
+            self._depth_rays = _rays(camera.depth_intrinsics, self._stride)
         self._turn: Float64[np.ndarray, "3 3"] | None = None  # that the lookups below were made for
 
     def __call__(
@@ -209,7 +217,7 @@ class Alignment:
                 )
         if self._is_target and np.allclose(turn, np.eye(3), atol=SAME):
             return rgb, depth
-        if self._turn is None or not np.array_equal(turn, self._turn):
+        if self._turn is None or not np.allclose(turn, self._turn, rtol=0, atol=SAME):
             self._prepare(turn)
         if self._shrink < 1:
             smaller = self._colour.width, self._colour.height
@@ -220,7 +228,12 @@ class Alignment:
             return colour, seen * self._depth_scale
         out = np.zeros((self.target.height, self.target.width), np.float32)
         _reproject(
-            depth, self._depth_rays, self._depth_turn, self._depth_shift, self.target.focal_length, out
+            depth[:: self._stride, :: self._stride],
+            self._depth_rays,
+            self._depth_turn,
+            self._depth_shift,
+            self.target.focal_length,
+            out,
         )
         return colour, out
 
@@ -237,19 +250,13 @@ class Alignment:
             return maps[0], maps[1]
 
         self._colour_lookup = lookup(self._colour)
-        depth = self.camera.depth_intrinsics
         if not self._beside:
-            self._depth_lookup = lookup(depth)
+            self._depth_lookup = lookup(self.camera.depth_intrinsics)
             u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
             rays = np.stack([(u - wanted.cx) / wanted.fx, (v - wanted.cy) / wanted.fy, np.ones_like(u)])
             along = np.tensordot(turn.T, rays, axes=1)[2]  # depth in the source of a point at depth 1 here
             self._depth_scale = np.where(along > 0, 1 / np.maximum(along, 1e-6), 0).astype(np.float32)
         else:
-            u, v = np.meshgrid(np.arange(depth.width), np.arange(depth.height))
-            pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(np.float64)
-            distortion = np.array(depth.distortion or (0.0,) * 5)
-            points = cv2.undistortPoints(pixels, depth.matrix, distortion)
-            self._depth_rays = points.reshape(depth.height, depth.width, 2)
             moved = turn @ self.camera.depth_to_colour[:3]
             self._depth_turn, self._depth_shift = moved[:, :3].copy(), moved[:, 3].copy()
         self._turn = turn.copy()
@@ -262,6 +269,14 @@ def _near(one: Intrinsics, other: Intrinsics) -> bool:
         and not any(one.distortion)
         and bool(np.allclose(one.matrix, other.matrix, atol=SAME, rtol=SAME))
     )
+
+
+def _rays(camera: Intrinsics, stride: int) -> Float64[np.ndarray, "h w 2"]:
+    """Where each pixel, or one in `stride`, looks, at distance 1 along the optical axis."""
+    u, v = np.meshgrid(np.arange(0, camera.width, stride), np.arange(0, camera.height, stride))
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(np.float64)
+    distortion = np.array(camera.distortion or (0.0,) * 5)
+    return cv2.undistortPoints(pixels, camera.matrix, distortion).reshape(*u.shape, 2)
 
 
 @compiled

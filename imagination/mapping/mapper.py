@@ -17,6 +17,9 @@ from imagination.mapping.registration import Rule
 BYTES_PER_CELL = 8
 """A probability (float32) and the number of views that wrote the cell (int32), negative while it was only imagined."""
 
+SAVING_BYTES_PER_CELL = 64
+"""Of the grid, whatever the layers: saving draws the map as a picture of floats, of which four are there at once."""
+
 CHUNK = 128
 """Cells by which a map grows at a time."""
 
@@ -74,9 +77,7 @@ class Mapper:
 
     def reset(self) -> None:
         """Forget everything."""
-        shape = len(self.categories), *self.grid.shape
-        self._probabilities = np.zeros(shape, np.float32)
-        self._count = np.zeros(shape, np.int32)
+        self._probabilities, self._count = _blank(len(self.categories), self.grid)
 
     @property
     def probabilities(self) -> Float32[np.ndarray, "c h w"]:
@@ -86,7 +87,8 @@ class Mapper:
     @property
     def written(self) -> Bool[np.ndarray, "c h w"]:
         """Cells that a view has written."""
-        return np.not_equal(self._count, 0)
+        written: np.ndarray = np.not_equal(self._count, 0)
+        return written
 
     def register(
         self,
@@ -134,10 +136,10 @@ class Mapper:
         size = self.grid.resolution
         grid = Grid(size, rows, columns, (x - left * size, y - bottom * size))
         _check_size(len(self.categories), grid)
-        before, self.grid = (self._probabilities, self._count), grid
-        self.reset()
+        probabilities, count = _blank(len(self.categories), grid)
         inside = np.s_[:, top : rows - bottom, left : columns - right]
-        self._probabilities[inside], self._count[inside] = before
+        probabilities[inside], count[inside] = self._probabilities, self._count
+        self.grid, self._probabilities, self._count = grid, probabilities, count
 
     def outside(self, mask: Bool[np.ndarray, "c v v"], pose: Pose) -> int:
         """How many of a view's cells with something to say, counted once for all layers, lie outside the map."""
@@ -180,8 +182,15 @@ def physical_memory() -> int:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
+def _blank(layers: int, grid: Grid) -> tuple[Float32[np.ndarray, "c h w"], Int32[np.ndarray, "c h w"]]:
+    """A map to which nothing was written: probabilities and counts."""
+    shape = layers, *grid.shape
+    return np.zeros(shape, np.float32), np.zeros(shape, np.int32)
+
+
 def _check_size(layers: int, grid: Grid) -> None:
-    needed, there = layers * grid.rows * grid.columns * BYTES_PER_CELL, physical_memory()
+    needed = grid.rows * grid.columns * (layers * BYTES_PER_CELL + SAVING_BYTES_PER_CELL)
+    there = physical_memory()
     if needed > there:
         raise UserError(
             f"map of {layers} x {grid.rows} x {grid.columns} cells: got {needed / 1e9:.1f} GB, expected "

@@ -17,7 +17,7 @@ from imagination.geometry.grid import Grid
 from imagination.geometry.morphology import close, dilate, kernel_cells
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import project_depth
-from imagination.geometry.rgbd import Alignment, Placement, RgbdCamera
+from imagination.geometry.rgbd import Alignment, Intrinsics, Placement, RgbdCamera
 from imagination.mapping import files
 from imagination.mapping.files import LoadedLayer
 from imagination.mapping.mapper import CHUNK, Mapper
@@ -38,17 +38,19 @@ class Limits:
     """How far a robot's camera may be from the one that the units were trained with, before it is an error.
 
     Attributes:
-        field_of_view: horizontal, degrees.
+        field_of_view: horizontal and vertical, degrees.
+        resolution: how many times fewer pixels a degree; more of them are averaged.
         mount_height: metres.
         tilt: pitch and roll, degrees.
     """
 
-    field_of_view: float = 40.0
+    field_of_view: float = 50.0
+    resolution: float = 4.0
     mount_height: float = 0.5
     tilt: float = 35.0
 
 
-CLOSE = Limits(2.0, 0.05, 2.0)
+CLOSE = Limits(2.0, 1.1, 0.05, 2.0)
 """Differences up to these are not worth a warning."""
 
 
@@ -89,6 +91,9 @@ class SemanticMapper:
 
     Raises:
         UserError: if the camera is too far from the units', or the grid's resolution is not theirs.
+
+    Attributes:
+        frames: registered so far.
     """
 
     def __init__(
@@ -105,10 +110,10 @@ class SemanticMapper:
         self.module, self.description = module, module.description
         self.camera = camera or RgbdCamera.of(self.description.camera)
         self.floor_height, self.frame, self.limits = floor_height, frame, limits or Limits()
-        self.grows = grid is None
+        self.grows, self.frames = grid is None, 0
         self._rule, self._start = rule or MovingAverage(), start
         self._alignment = Alignment(self.camera, self.description.camera)
-        self._warned = False
+        self._warned: set[str] = set()
         self._check_intrinsics()
         self._mapper: Mapper | None = None
         if grid is not None:
@@ -130,9 +135,10 @@ class SemanticMapper:
             pose: of the robot; or of the colour camera, the transform from its optical frame to the world's.
 
         Raises:
-            UserError: on images of a wrong size, depth or a pose that is not finite, or a camera too far from the
-                units'. The map stays as it was.
+            UserError: on images of a wrong type or size, depth or a pose that is not finite, or a camera too far from
+                the units'. The map stays as it was.
         """
+        _check_images(rgb, depth)
         if isinstance(pose, Pose):
             pose = self.camera.to_world(pose, self.floor_height)
         place = Placement.of(pose, self.floor_height)
@@ -153,6 +159,7 @@ class SemanticMapper:
         outside = 0 if self.grows else mapper.outside(mask, place.pose)
         imagined = np.concatenate([np.zeros_like(view.seen)[None], said.mask & ~view.seen])
         mapper.register(values, mask, place.pose, imagined)
+        self.frames += 1
         return Update(place.pose, rgb, depth, view.occupied, view.seen, probabilities, said.mask, outside)
 
     @property
@@ -199,23 +206,31 @@ class SemanticMapper:
             self._mapper.write(0, layer.astype(np.float32) / 100, layer != UNKNOWN)
 
     def _check_intrinsics(self) -> None:
-        """Compare what the camera sees with what the units' did."""
-        ours, theirs = self.camera.colour, self.description.camera
-        got, trained = np.rad2deg([ours.field_of_view, theirs.field_of_view]).tolist()
-        told = f"field of view: the robot's camera has {got:.1f} degrees, the units' {trained:.1f}"
-        if abs(got - trained) > self.limits.field_of_view:
-            raise UserError(
-                f"{told}; expected at most {self.limits.field_of_view} apart; train for this camera "
-                "(camera.field_of_view) or raise limits.field_of_view"
-            )
-        if abs(got - trained) > CLOSE.field_of_view:
-            warnings.warn(f"{told}; what only one of them sees is left out", stacklevel=3)
-        if abs(ours.fx) < 0.9 * theirs.focal_length:
-            warnings.warn(
-                f"resolution: the robot's camera has {np.deg2rad(abs(ours.fx)):.2f} pixels a degree, the units' "
-                f"{np.deg2rad(theirs.focal_length):.2f}; the image is magnified",
-                stacklevel=3,
-            )
+        """Compare what the robot's cameras see with what the units' did."""
+        theirs, limits = Intrinsics.of(self.description.camera), self.limits
+        for kind, ours in (("colour", self.camera.colour), ("depth", self.camera.depth)):
+            if ours is None:
+                continue
+            angles = np.rad2deg([ours.fields_of_view, theirs.fields_of_view]).T.tolist()
+            for axis, (got, trained) in zip(("horizontal", "vertical"), angles, strict=True):
+                told = f"{axis} field of view: the robot's {kind} camera has {got:.1f} degrees, "
+                told += f"the units' {trained:.1f}"
+                if abs(got - trained) > limits.field_of_view:
+                    raise UserError(
+                        f"{told}; expected at most {limits.field_of_view} apart; train for this camera "
+                        "(camera.field_of_view) or raise limits.field_of_view"
+                    )
+                if abs(got - trained) > CLOSE.field_of_view:
+                    warnings.warn(f"{told}; what only one of them sees is left out", stacklevel=3)
+            got, trained = np.deg2rad([min(abs(ours.fx), abs(ours.fy)), theirs.fx]).tolist()
+            told = f"resolution: the robot's {kind} camera has {got:.2f} pixels a degree, the units' {trained:.2f}"
+            if trained > limits.resolution * got:
+                raise UserError(
+                    f"{told}; expected at most {limits.resolution} times fewer; record larger images, or raise "
+                    "limits.resolution"
+                )
+            if trained > CLOSE.resolution * got:
+                warnings.warn(f"{told}; the image is magnified", stacklevel=3)
 
     def _check_placement(self, place: Placement) -> None:
         """Compare where the camera sits with where the units' did."""
@@ -250,9 +265,22 @@ class SemanticMapper:
                     f"{told}; expected at most {limit} apart; check the poses' frame and the floor's height, train for "
                     "this camera, or raise the limit"
                 )
-            if abs(got - trained) > little and not self._warned:
+            if abs(got - trained) > little and name not in self._warned:
+                self._warned.add(name)
                 warnings.warn(f"{told}; the image is brought there as far as it can be", stacklevel=3)
-        self._warned = True
+
+
+def _check_images(rgb: np.ndarray, depth: np.ndarray) -> None:
+    """Refuse images of another type, such as depth in whole millimetres, that would be read as something else."""
+    if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
+        raise UserError(
+            f"rgb: got {rgb.dtype} of shape {rgb.shape}, expected uint8 of shape (height, width, 3)"
+        )
+    if depth.dtype != np.float32 or depth.ndim != 2:
+        raise UserError(
+            f"depth: got {depth.dtype} of shape {depth.shape}, expected float32 of shape (height, width), in metres; "
+            "of 16-bit millimetres: depth.astype(np.float32) / 1000"
+        )
 
 
 def around(occupied: Bool[np.ndarray, "v v"], resolution: float) -> Bool[np.ndarray, "v v"]:

@@ -80,12 +80,13 @@ class Frames:
 
     Attributes:
         recording: they come from.
-        mapped: frames given so far.
+        mapped: frames given and worked up so far.
     """
 
     recording: Recording
     mapped: int = 0
     _skipped: Counter[str] = field(default_factory=Counter)
+    _refused: bool = False
     _holes: int = 0
     _pixels: int = 0
 
@@ -96,7 +97,7 @@ class Frames:
 
     def refuse(self, reason: str) -> None:
         """Count the frame that was given last as left out after all."""
-        self.mapped -= 1
+        self._refused = True
         self._skipped[reason] += 1
 
     def __iter__(self) -> Iterator[Frame]:
@@ -109,10 +110,11 @@ class Frames:
             else:
                 last = shot.stamp
                 images = shot.load()
-                self.mapped += 1
+                self._refused = False
                 self._holes += images.depth.size - int(np.count_nonzero(images.depth))
                 self._pixels += images.depth.size
                 yield Frame(shot.stamp, *images, shot.camera_to_world)
+                self.mapped += not self._refused  # only now: it may have been interrupted
 
     def summary(self) -> str:
         """How many frames were mapped, what share of their depth is missing, and why others were not."""

@@ -46,8 +46,14 @@ T = TypeVar("T")
 
 
 def stamp_of(message: Any) -> Stamp:
-    """Time of a message with a header."""
+    """Time of a message with a header.
+
+    Raises:
+        BrokenRecordingError: if it is none.
+    """
     stamp = message.header.stamp
+    if not 0 <= stamp.nanosec < SECOND:
+        raise BrokenRecordingError(f"stamp: got {stamp.nanosec} nanoseconds, expected 0 to {SECOND - 1}")
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
@@ -139,15 +145,18 @@ class Pairing(Generic[T]):
         tolerance: seconds between the two, at most.
         most: of each kind that wait for a partner.
 
-    Attributes:
-        alone: messages that found no partner.
     """
 
     def __init__(self, tolerance: float, most: int = 30) -> None:
         self.tolerance = round(tolerance * SECOND)
         self.most = most
-        self.alone = 0
+        self._given_up = 0
         self._waiting: dict[str, deque[tuple[Stamp, T]]] = {"colour": deque(), "depth": deque()}
+
+    @property
+    def alone(self) -> int:
+        """Messages that have found no partner."""
+        return self._given_up + sum(map(len, self._waiting.values()))
 
     def add(self, kind: str, stamp: Stamp, item: T) -> tuple[Stamp, T, T] | None:
         """Add a message of the kind `colour` or `depth`; the pair that it completes, as (stamp, colour, depth).
@@ -161,12 +170,12 @@ class Pairing(Generic[T]):
             mine.append((stamp, item))
             if len(mine) > self.most:
                 mine.popleft()
-                self.alone += 1
+                self._given_up += 1
             return None
         partner_stamp, partner = others[index]
         for _ in range(index + 1):
             others.popleft()
-        self.alone += index + len(mine)
+        self._given_up += index + len(mine)
         mine.clear()
         if kind == "colour":
             return stamp, item, partner

@@ -13,6 +13,9 @@ from imagination.recordings.recording import Stamp
 SECOND = 1_000_000_000
 """Nanoseconds."""
 
+JUMP = 2.0
+"""Seconds by which live messages may be late, or their clock pause; beyond, it was set anew."""
+
 
 def matrix_of(position: Iterable[float], quaternion: Iterable[float]) -> Float64[np.ndarray, "4 4"]:
     """Transform from a position, metres, and a quaternion (x, y, z, w), which is normalised.
@@ -69,7 +72,7 @@ class Trajectory:
 
     Args:
         max_gap: seconds between two of them over which none is interpolated.
-        keep: seconds of the past that are kept; all if None.
+        keep: seconds of the past that are kept, of live transforms; all, whenever they were, if None.
 
     Attributes:
         repeated: entries of a time that was there already, left out. Late ones are sorted in.
@@ -78,6 +81,8 @@ class Trajectory:
     def __init__(self, max_gap: float, keep: float | None = None) -> None:
         self.max_gap, self.keep = round(max_gap * SECOND), None if keep is None else round(keep * SECOND)
         self.repeated = 0
+        self._jump = max(round(JUMP * SECOND), self.max_gap)
+        self._stray: tuple[Stamp, Float64[np.ndarray, "4 4"]] | None = None
         self._stamps: deque[Stamp] = deque()
         self._matrices: deque[Float64[np.ndarray, "4 4"]] = deque()
 
@@ -85,7 +90,15 @@ class Trajectory:
         return len(self._stamps)
 
     def add(self, stamp: Stamp, matrix: Float64[np.ndarray, "4 4"]) -> None:
-        """Add a transform, usually the newest."""
+        """Add a transform, usually the newest.
+
+        Raises:
+            UserError: if it is live and its time is far from the newest one's. A second one beside it is believed,
+                and the history begins anew with the two: the clock was reset, or a bag is played again.
+        """
+        if self.keep is not None and self._stamps and abs(stamp - self._stamps[-1]) > self._jump:
+            self._begin_anew(stamp, matrix)
+        self._stray = None
         index = len(self._stamps)
         while index and self._stamps[index - 1] > stamp:
             index -= 1
@@ -97,6 +110,16 @@ class Trajectory:
         while self.keep is not None and self._stamps[-1] - self._stamps[0] > self.keep:
             self._stamps.popleft()
             self._matrices.popleft()
+
+    def _begin_anew(self, stamp: Stamp, matrix: Float64[np.ndarray, "4 4"]) -> None:
+        before, self._stray = self._stray, (stamp, matrix)
+        if before is None or abs(stamp - before[0]) > self._jump:
+            raise UserError(
+                f"pose: got the time {stamp / SECOND:.3f} s, expected one at most {self._jump / SECOND:.1f} s from the "
+                f"newest, {self._stamps[-1] / SECOND:.3f} s; check the clocks"
+            )
+        self._stamps, self._matrices = deque(), deque()
+        self.add(*before)
 
     def at(self, stamp: Stamp) -> Float64[np.ndarray, "4 4"] | None:
         """The transform at a time; None before the first, after the last and in a gap."""
@@ -136,7 +159,8 @@ class Transforms:
         """Say where `child` is in `parent` at a time, or, if `fixed`, at all times.
 
         Raises:
-            UserError: if the child has another parent already, or would be its own ancestor.
+            UserError: if the child has another parent already, would be its own ancestor, or a live time is far from
+                the newest (see `Trajectory.add`).
         """
         parent, child = parent.lstrip("/"), child.lstrip("/")
         if self._parents.get(child, parent) != parent:

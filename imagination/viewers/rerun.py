@@ -10,6 +10,9 @@ from imagination.geometry.pose import Pose
 from imagination.mapping.pictures import FREE_COLOUR, OCCUPIED_COLOUR, UNKNOWN_COLOUR, draw_map
 from imagination.mapping.semantic import SemanticMapper, Update
 
+MOST_PLACES = 1000
+"""Of the robot's path; of more, every second is dropped, since the whole path is sent again and again."""
+
 
 class Rerun:
     """Logs to a viewer that is started, or to an .rrd file.
@@ -51,6 +54,8 @@ class Rerun:
         for category, layer in zip(self._mapper.description.categories, update.probabilities, strict=True):
             log(f"ego/{category}", rerun.Image((255 * layer).astype(np.uint8)))
         self._path.append(update.pose)
+        if len(self._path) > MOST_PLACES:
+            self._path = [*self._path[:-1:2], update.pose]
         if self._seen % self.every == 0:
             self._show_map()
         self._seen += 1

@@ -72,6 +72,46 @@ def test_depth_of_a_camera_beside_is_registered_to_colour() -> None:
     assert (np.abs(wrong - wanted)[both] < 0.03 * wanted[both]).mean() < 0.85
 
 
+@pytest.mark.parametrize("beside", [False, True])
+def test_lookups_are_made_once_for_a_camera_that_is_fixed_to_the_robot(
+    beside: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The heading's rounding makes the camera's turn differ from frame to frame."""
+    tilted = Camera.from_degrees(96, 72, 100.0, 1.2, pitch=10.0)
+    offset = np.eye(4)
+    offset[0, 3] = 0.05 * beside
+    alignment = Alignment(
+        RgbdCamera(Intrinsics.of(tilted), Intrinsics.of(tilted) if beside else None, offset), TARGET
+    )
+    made: list[int] = []
+    for module, name in ((cv2, "initUndistortRectifyMap"), (cv2, "undistortPoints")):
+        real = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *a, real=real: (made.append(1), real(*a))[1])
+    rgb, depth = np.zeros((72, 96, 3), np.uint8), np.full((72, 96), 2.0, np.float32)
+    for heading in np.linspace(-3, 3, 20):
+        matrix = tilted.to_world(Pose(0.3, 0.2, heading))
+        place = Placement.of(matrix)
+        alignment(rgb, depth, level(TARGET, place.pose.theta).T @ matrix[:3, :3])
+    assert len(made) == (1 if beside else 2)  # of colour, and of depth
+
+
+def test_dense_depth_of_a_camera_beside_leaves_no_holes() -> None:
+    """Of a fine depth image every few pixels are enough; what the target sees is as with all of them."""
+    k = Intrinsics(640, 480, 390.0, 390.0, 319.5, 239.5)
+    offset = np.eye(4)
+    offset[0, 3] = 0.02
+    alignment = Alignment(RgbdCamera(Intrinsics.of(TARGET), k, offset), TARGET)
+    v = np.arange(480, dtype=np.float32)[:, None]
+    depth = np.broadcast_to(2 + v / 480, (480, 640)).astype(np.float32)  # a wall that leans back
+    _, got = alignment(np.zeros((64, 64, 3), np.uint8), depth, np.eye(3))
+    focal = TARGET.focal_length
+    u, v = np.meshgrid(np.arange(64) + 0.5 - 32, np.arange(64) + 0.5 - 32)
+    wanted = 2 + (v / focal * 390 + 239.5) / 480
+    inside = (np.abs(u / focal) < 0.78) & (np.abs(v / focal) < 0.58)
+    assert (got[inside] > 0).all()
+    assert np.abs(got - wanted)[inside].max() < 0.03
+
+
 def test_the_units_own_camera_is_left_alone() -> None:
     rgb, depth = rendered(TARGET, TARGET.to_world(POSE))
     got = Alignment(RgbdCamera.of(TARGET), TARGET)(rgb, depth, np.eye(3))

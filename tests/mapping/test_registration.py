@@ -1,3 +1,6 @@
+import tracemalloc
+from pathlib import Path
+
 import cv2
 import jaxtyping
 import numpy as np
@@ -9,7 +12,9 @@ from imagination.errors import UserError
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
 from imagination.mapping import mapper as mapper_module
+from imagination.mapping.files import save_maps
 from imagination.mapping.mapper import Mapper
+from imagination.mapping.maps import Maps
 from imagination.mapping.registration import EntropyMovingAverage, Max, Mean, MovingAverage, Overwrite, Rule
 
 RESOLUTION = 0.0625  # exact in floating point, so that shifts by whole cells are too
@@ -310,12 +315,32 @@ def test_bad_views_are_refused_and_change_nothing(
 
 
 def test_a_map_that_does_not_fit_in_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    needed = 2 * GRID.rows * GRID.columns * 8
+    needed = GRID.rows * GRID.columns * (2 * 8 + 64)
     monkeypatch.setattr(mapper_module, "physical_memory", lambda: needed)
     mapper(Mean())
     monkeypatch.setattr(mapper_module, "physical_memory", lambda: needed - 1)
     with pytest.raises(UserError, match="map of 2 x 60 x 70 cells: got .* GB, .*choose a coarser resolution"):
         mapper(Mean())
+
+
+def test_saving_takes_as_much_memory_as_was_counted_for(tmp_path: Path) -> None:
+    grid, layers = Grid(0.05, 600, 500, (0.0, 0.0)), 4
+    global_map = Mapper(grid, EgoGrid(0.05, 21), [*"abcd"], Mean())
+    maps = Maps(
+        grid,
+        "map",
+        ("a", "b", "c"),
+        global_map.probabilities[1:],
+        global_map.written[1:],
+        global_map.probabilities[0],
+        global_map.written[0],
+    )
+    tracemalloc.start()
+    save_maps(tmp_path, maps, [(200, 0, 0)] * (layers - 1))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    counted = mapper_module.SAVING_BYTES_PER_CELL * grid.rows * grid.columns
+    assert 0.5 * counted < peak < counted
 
 
 def test_views_of_another_resolution_and_maps_without_layers_are_refused() -> None:

@@ -1,7 +1,10 @@
 """The semantic mapper: what it makes of frames, and what it refuses."""
 
 import warnings
+from collections import Counter
+from collections.abc import Iterator
 
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -11,12 +14,15 @@ from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import project_depth
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
+from imagination.map import run
 from imagination.mapping.files import LoadedLayer
 from imagination.mapping.mapper import Mapper
 from imagination.mapping.module import Description, Observation, SideBySide, valid_imagination
 from imagination.mapping.registration import MovingAverage
 from imagination.mapping.semantic import Limits, SemanticMapper, around
+from imagination.recordings.recording import Frames, Images, Shot
 from imagination.scenes.renderer import Renderer
+from imagination.viewers.viewer import NoViewer
 from tests.modules import CAMERA, EGO, Toy
 from tests.rooms import tiny_room
 
@@ -128,13 +134,13 @@ def test_it_starts_from_another_robots_map() -> None:
 
 
 def test_cameras_too_far_from_the_units_are_refused() -> None:
-    narrow = RgbdCamera.of(Camera.from_degrees(48, 48, 45.0, 1.25))
+    narrow = RgbdCamera.of(Camera.from_degrees(48, 48, 35.0, 1.25))
     with pytest.raises(
-        UserError, match=r"robot's camera has 45.0 degrees, the units' 90.0; expected at most 40"
+        UserError, match=r"robot's colour camera has 35.0 degrees, the units' 90.0; expected at most 50"
     ):
         SemanticMapper(Toy(), narrow)
     with pytest.warns(UserWarning, match="what only one of them sees is left out"):
-        SemanticMapper(Toy(), narrow, limits=Limits(field_of_view=50.0))
+        SemanticMapper(Toy(), narrow, limits=Limits(field_of_view=60.0))
     with pytest.warns(UserWarning, match="the image is magnified"):
         SemanticMapper(Toy(), RgbdCamera.of(Camera.from_degrees(24, 24, 90.0, 1.25)))
     rgb, depth, pose = frames()[0]
@@ -173,6 +179,86 @@ def test_bad_frames_leave_the_map_as_it_was() -> None:
             warnings.simplefilter("ignore")
             mapper.update(*bad)
         np.testing.assert_array_equal(mapper.maps.probabilities, before)
+
+
+def test_warnings_come_once_for_each_quantity_when_it_first_differs() -> None:
+    mapper = SemanticMapper(Toy())
+    rgb, depth = np.zeros((48, 48, 3), np.uint8), np.full((48, 48), 2.0, np.float32)
+
+    def told(height: float, pitch: float) -> list[str]:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            camera = Camera.from_degrees(48, 48, 90.0, height, pitch=pitch)
+            mapper.update(rgb, depth, camera.to_world(Pose(0.0, 0.0, 0.0)))
+        return [str(each.message).partition(":")[0] for each in caught]
+
+    assert [told(1.25, 0.0), told(1.5, 0.0), told(1.5, 20.0), told(1.6, 25.0)] == [
+        [],
+        ["mount_height"],
+        ["pitch"],
+        [],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("colour", "depth", "told"),
+    [
+        (Intrinsics(48, 36, 24.0, 24.0, 23.5, 17.5), None, "vertical field of view: the robot's colour"),
+        (
+            Intrinsics.of(CAMERA),
+            Intrinsics(48, 48, 40.0, 24.0, 23.5, 23.5),
+            "horizontal .* robot's depth camera",
+        ),
+        (
+            Intrinsics.of(CAMERA),
+            Intrinsics(16, 16, 8.0, 8.0, 7.5, 7.5),
+            "robot's depth camera has 0.14 pixels",
+        ),
+    ],
+)
+def test_all_of_both_cameras_is_compared(colour: Intrinsics, depth: Intrinsics | None, told: str) -> None:
+    with pytest.warns(UserWarning, match=told):
+        SemanticMapper(Toy(), RgbdCamera(colour, depth))
+    none = Limits(field_of_view=1.0, resolution=1.0)
+    with warnings.catch_warnings(), pytest.raises(UserError, match=told):
+        warnings.simplefilter("ignore")
+        SemanticMapper(Toy(), RgbdCamera(colour, depth), limits=none)
+
+
+def test_images_of_another_type_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a user gives them, to whom nothing else checks types."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    k = Intrinsics(96, 72, 48.0, 48.0, 47.5, 35.5)  # is brought into the units' camera
+    mapper = SemanticMapper(Toy(), RgbdCamera(k))
+    rgb, depth = np.zeros((72, 96, 3), np.uint8), np.full((72, 96), 2.0, np.float32)
+    for bad_rgb, bad_depth, told in (
+        (rgb, (1000 * depth).astype(np.uint16), "depth: got uint16 .* in metres; of 16-bit millimetres"),
+        (rgb, depth.astype(np.float64), "depth: got float64"),
+        (rgb, depth[..., None], r"depth: got float32 of shape \(72, 96, 1\)"),
+        (rgb / np.float32(255), depth, "rgb: got float32"),
+        (rgb[..., 0], depth, r"rgb: got uint8 of shape \(72, 96\)"),
+        (np.zeros((72, 96, 4), np.uint8), depth, r"rgb: got uint8 of shape \(72, 96, 4\)"),
+    ):
+        with pytest.raises(UserError, match=told):
+            mapper.update(bad_rgb, bad_depth, Pose(0.0, 0.0, 0.0))
+    assert mapper.frames == 0
+
+
+def test_ctrl_c_in_the_first_frame_saves_nothing_and_says_nothing_else() -> None:
+    class Interrupted(Toy):
+        def __call__(self, observation: Observation) -> np.ndarray:
+            raise KeyboardInterrupt
+
+    class OneFrame:
+        camera, skipped = RgbdCamera.of(CAMERA), Counter[str]()
+
+        def shots(self) -> Iterator[Shot]:
+            images = Images(np.zeros((48, 48, 3), np.uint8), np.full((48, 48), 2.0, np.float32))
+            yield Shot(0, CAMERA.to_world(Pose(0.0, 0.0, 0.0)), lambda: images)
+
+    with pytest.raises(SystemExit) as ended:
+        run(SemanticMapper(Interrupted()), Frames(OneFrame()), NoViewer())
+    assert ended.value.code == 130
 
 
 def test_dashes_of_a_wall_are_not_called_free() -> None:

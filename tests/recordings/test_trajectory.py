@@ -82,6 +82,27 @@ def test_only_the_recent_past_is_kept() -> None:
     assert len(trajectory) == 6
 
 
+def test_a_stray_time_costs_nothing_and_a_clock_that_was_set_anew_is_followed() -> None:
+    live = Trajectory(max_gap=1.0, keep=30.0)
+    for second in range(10):
+        live.add((1000 + second) * 10**9, shifted(second))
+    for stray in (2**31 - 1, 0):
+        with pytest.raises(UserError, match=rf"got the time {stray}.000 s, expected one at most 2.0 s"):
+            live.add(stray * 10**9, shifted(0))
+        live.add((1010 + (not stray)) * 10**9, shifted(10))
+    assert len(live) == 12 and live.at(1009_500_000_000) is not None
+    with pytest.raises(UserError, match="check the clocks"):
+        live.add(1000 * 10**9, shifted(50))
+    live.add(1001 * 10**9, shifted(51))  # the second that says so
+    assert len(live) == 2
+    found = live.at(1000_500_000_000)
+    assert found is not None and found[0, 3] == pytest.approx(50.5)
+    recorded = Trajectory(max_gap=1.0)
+    for second in (5000, 0, 10_000):
+        recorded.add(second * 10**9, shifted(second))
+    assert len(recorded) == 3
+
+
 def test_a_tree_of_frames() -> None:
     transforms = Transforms(max_gap=1.0)
     turn = rigid([1.0, 0, 0], Rotation.from_euler("z", 90, degrees=True))

@@ -26,6 +26,7 @@ def main(endpoint: str, folder: Path) -> None:
     heard: dict[str, bytes] = {}
     scene = tiny_room()
     frames = list(drive(scene, CAMERA, corridor_path(scene.free_space, 10)))
+    block = zenoh.CongestionControl.BLOCK  # so that none is lost on a busy machine
     with zenoh.open(config) as session:
         session.declare_subscriber(
             "imagination/*", lambda sample: heard.update({str(sample.key_expr): sample.payload.to_bytes()})
@@ -41,11 +42,14 @@ def main(endpoint: str, folder: Path) -> None:
         begun = time.time_ns()
         for number, taken in enumerate(frames):
             now = taken._replace(stamp=begun + number * 10**8)
-            session.put("camera/color/image_raw", b"\x00\x01\x00\x00 noise")
-            session.put("tf", bytes(100_000))
+            session.put("camera/color/image_raw", b"\x00\x01\x00\x00 noise", congestion_control=block)
+            session.put("tf", bytes(100_000), congestion_control=block)
             for topic, name, message in spoken(now, CAMERA, messages, not number):
                 data = bytes(ROS2.serialize_cdr(message, name))
-                latched.put(data) if topic == "/tf_static" else session.put(topic.strip("/"), data)
+                if topic == "/tf_static":
+                    latched.put(data)
+                else:
+                    session.put(topic.strip("/"), data, congestion_control=block)
             for _ in range(200):  # until it has been mapped, so that none is dropped
                 time.sleep(0.05)
                 grid = heard.get("imagination/occupancy")

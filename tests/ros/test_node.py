@@ -1,13 +1,15 @@
 """The mapping node without any transport: messages in, maps out, what is bad refused one by one."""
 
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 from imagination.errors import UserError
-from imagination.geometry.rgbd import RgbdCamera
+from imagination.geometry.rgbd import Intrinsics, RgbdCamera
+from imagination.mapping.module import Observation
 from imagination.mapping.semantic import SemanticMapper
 from tests.conftest import ROOT
 from tests.modules import CAMERA, Toy
@@ -17,7 +19,7 @@ from tests.rooms import tiny_room
 sys.path.append(str(ROOT / "plugins" / "ros"))
 
 from imagination_ros.codec import GRID, MARKERS, Codec  # noqa: E402
-from imagination_ros.node import MappingNode  # noqa: E402
+from imagination_ros.node import MappingNode, topics_of  # noqa: E402
 
 ROLES = {
     COLOUR: "colour",
@@ -159,6 +161,109 @@ def test_bad_messages_are_refused_one_by_one(frames: list[Taken]) -> None:
     tell(node, frames[3], False)
     assert node.step(1.0)
     assert node.counts["mapped"] == 2
+
+
+def test_one_transform_from_the_future_costs_no_frame(frames: list[Taken]) -> None:
+    node = make_node(Listener())
+    for number, taken in enumerate(frames[:4]):
+        tell(node, taken, not number)
+        assert node.step(1.0)
+        node.receive("tf", MESSAGES.transform((2**31 - 1) * 10**9, "odom", "base_link", np.eye(4)))
+    assert node.counts == {"mapped": 4, "refused: tf": 4}
+
+
+def test_a_clock_that_goes_back_is_followed(frames: list[Taken]) -> None:
+    """A bag is played again, or a simulation reset: two poses are needed until it is believed."""
+    node = make_node(Listener(), patience=0.0)
+    for number, taken in enumerate(frames[:3]):
+        tell(node, taken, not number)
+        assert node.step(1.0)
+    mapped = []
+    for taken in frames[:5]:
+        tell(node, taken._replace(stamp=taken.stamp - 60 * 10**9), False)
+        mapped.append(node.step(0.0))
+    assert mapped == [False, True, True, True, True]
+    assert node.counts["jump back of the clock"] == 1 and node.counts["refused: tf"] == 2
+
+
+def test_a_stray_camera_info_ends_nothing(frames: list[Taken]) -> None:
+    """Frames that would close a ring with the mount, before the first pose and after."""
+    mount = {"frame": "base_link", "height": CAMERA.mount_height, "pitch": 0.0}
+    node = make_node(Listener(), world="odom", mount=mount)
+    for taken in frames[:3]:
+        for stray in ("odom", "base_link", "elsewhere"):
+            node.receive("colour_info", MESSAGES.info(taken.stamp, stray, Intrinsics.of(CAMERA)))
+            node.step(0.0)
+        tell(node, taken, first=False, odometry=True)
+        assert node.step(1.0)
+    assert node.counts == {"mapped": 3}
+
+
+def test_times_that_are_none_are_refused(frames: list[Taken]) -> None:
+    node = make_node(Listener())
+    tell(node, frames[0])
+    for topic, _, message in spoken(frames[1]._replace(stamp=(2**31 - 1) * 10**9), CAMERA, MESSAGES, False):
+        for entry in getattr(message, "transforms", [message]):
+            entry.header.stamp.nanosec = 4 * 10**9
+        node.receive(ROLES[topic], message)
+    assert node.step(1.0)
+    assert node.counts == {"mapped": 1, "refused: tf": 2, "refused: colour": 1, "refused: depth": 1}
+
+
+def test_whatever_one_frame_does_the_others_are_mapped(frames: list[Taken]) -> None:
+    class Moody(Toy):
+        asked = 0
+
+        def __call__(self, observation: Observation) -> np.ndarray:
+            self.asked += 1
+            if self.asked in (2, 3):
+                raise (RuntimeError("INVALID_ARGUMENT"), MemoryError())[self.asked - 2]
+            return super().__call__(observation)
+
+    heard: list[str] = []
+
+    def publish(name: str, kind: str, message: Any) -> None:
+        heard.append(name)
+        if len(heard) == 1:
+            raise OSError("the session is closed")
+
+    moody = Moody()
+    node = MappingNode(
+        lambda camera: SemanticMapper(moody, camera), publish, Codec("ros2_humble", 10**8), "map", period=0.0
+    )
+    for number, taken in enumerate(frames[:4]):
+        tell(node, taken, not number)
+        assert node.step(1.0) == (number in (0, 3))
+    assert node.counts == {"mapped": 2, "refused: frame": 2, "refused: publication": 1}
+    assert node.mapper is not None and node.mapper.frames == 2
+    assert heard == ["occupancy", "occupancy", "chair", "objects"]
+
+
+def test_images_that_cannot_be_mapped_are_counted_by_the_reason(frames: list[Taken]) -> None:
+    def summary(change: Callable[[list[Any]], list[Any]], **settings: Any) -> str:
+        node = make_node(Listener(), patience=0.0, **settings)
+        for number, taken in enumerate(frames[:3]):
+            for topic, _, message in change(spoken(taken, CAMERA, MESSAGES, not number)):
+                node.receive(ROLES[topic], message)
+            assert not node.step(0.0)
+        return node.summary()
+
+    def without(name: str) -> Callable[[list[Any]], list[Any]]:
+        return lambda topics: [each for each in topics if each[0] != name]
+
+    def apart(topics: list[Any]) -> list[Any]:
+        topics[-1][2].header.stamp.nanosec += 30_000_000
+        return topics
+
+    assert "6 x image without a partner within 0.02 s" in summary(apart)
+    assert "3 x no camera_info of depth" in summary(without("/camera/depth/camera_info"))
+    assert "3 x no transforms from 'camera_optical' to 'map'" in summary(without("/tf"))
+    assert "3 x no transforms from 'camera_optical' to 'earth'" in summary(list, world="earth")
+
+
+def test_topics_are_names_that_ros_allows() -> None:
+    names = topics_of(["chair", "night-stand", "night_stand", "3d--printer", "a-"])
+    assert names == ["chair", "night_stand", "night_stand2", "category_3d_printer", "a_"]
 
 
 def test_random_bytes_never_get_through() -> None:

@@ -1,5 +1,6 @@
 """The rclpy transport against a stand-in with rclpy's documented calls; it was not run against a real ROS 2 here."""
 
+import os
 import sys
 import threading
 from types import ModuleType, SimpleNamespace
@@ -24,22 +25,25 @@ class StandIn:
     def __init__(self) -> None:
         self.subscriptions: dict[str, Any] = {}
         self.published: list[tuple[str, Any]] = []
+        self.qualities: dict[str, Any] = {}
+        self.environments: list[dict[str, str]] = []
         self.stopped = threading.Event()
 
     def modules(self) -> dict[str, Any]:
-        def publisher(topic: str) -> SimpleNamespace:
+        def publisher(topic: str, quality: Any) -> SimpleNamespace:
+            self.qualities[topic] = quality
             return SimpleNamespace(publish=lambda message: self.published.append((topic, message)))
 
         node = SimpleNamespace(
             create_subscription=lambda kind, topic, handle, quality: self.subscriptions.update(
                 {topic: (kind, handle, quality)}
             ),
-            create_publisher=lambda kind, topic, quality: publisher(topic),
+            create_publisher=lambda kind, topic, quality: publisher(topic, quality),
         )
         policies = SimpleNamespace(TRANSIENT_LOCAL=1, VOLATILE=2, RELIABLE=1, BEST_EFFORT=2)
         made: dict[str, dict[str, Any]] = {
             "rclpy": {
-                "init": lambda signal_handler_options: None,
+                "init": lambda signal_handler_options: self.environments.append(dict(os.environ)),
                 "create_node": lambda name: node,
                 "spin": lambda _: self.stopped.wait(10),
                 "shutdown": self.stopped.set,
@@ -66,6 +70,7 @@ def test_messages_come_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, module in ros.modules().items():
         monkeypatch.setitem(sys.modules, name, module)
     transport = RclpyTransport("ros2_humble", 1000)
+    monkeypatch.setattr(os, "environ", {})
     transport.open()
     heard: list[Any] = []
     transport.subscribe("/camera/color", "sensor_msgs/msg/Image", False, heard.append)
@@ -86,6 +91,29 @@ def test_messages_come_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
     grid = transport.codec.occupancy_grid(layer, Grid(0.1, 2, 3, (1.0, 2.0)), "map", 7)
     transport.publish("/imagination/occupancy", GRID, grid)
     ((topic, sent),) = ros.published
+    quality = ros.qualities["/imagination/occupancy"]
+    assert (quality.durability, quality.reliability, quality.depth) == (1, 1, 1)
     assert topic == "/imagination/occupancy" and sent.data.tolist() == [2, 3, 4, -1, 0, 1]
     transport.close()
     assert ros.stopped.is_set()
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ({}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOCALHOST_ONLY": "1"}),
+        ({"ROS_LOCALHOST_ONLY": "0"}, {"ROS_LOCALHOST_ONLY": "0"}),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}),
+    ],
+)
+def test_it_speaks_within_this_machine_unless_told_otherwise(
+    given: dict[str, str], wanted: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ros = StandIn()
+    for name, module in ros.modules().items():
+        monkeypatch.setitem(sys.modules, name, module)
+    transport = RclpyTransport("ros2_humble", 1000)
+    monkeypatch.setattr(os, "environ", given.copy())
+    transport.open()
+    transport.close()
+    assert ros.environments == [wanted]

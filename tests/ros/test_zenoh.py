@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from imagination.deployment.load import load
+from imagination.errors import UserError
 from imagination.mapping.files import load_maps
 from imagination.mapping.semantic import SemanticMapper
 from tests.conftest import ROOT, Command
@@ -20,6 +21,9 @@ from tests.robot import ROS2, corridor_path, drive
 from tests.rooms import tiny_room
 
 pytest.importorskip("zenoh")
+sys.path.append(str(ROOT / "plugins" / "ros"))
+
+from imagination_ros.zenoh_transport import ZenohTransport  # noqa: E402
 
 
 def free_port() -> int:
@@ -74,6 +78,20 @@ def test_a_robot_in_another_process(tmp_path: Path, unit_file: Path) -> None:
     assert (tmp_path / "imagination_chair").is_file() and (tmp_path / "imagination_objects").is_file()
 
 
+def test_the_map_is_saved_whatever_ends_the_service(
+    command: Command, tmp_path: Path, unit_file: Path
+) -> None:
+    done = command(
+        "serve",
+        f"unit={unit_file}",
+        "server.transport._target_=tests.ros.failing_transport.FailingTransport",
+        "server.topics.depth=/camera/depth/image_rect_raw",
+        "server.topics.depth_info=/camera/depth/camera_info",
+    )
+    assert done.returncode != 0 and "the network is gone" in done.stderr
+    assert load_maps(tmp_path / "outputs" / "serve" / "latest").known.any()
+
+
 def test_an_endpoint_that_is_taken_is_one_message(command: Command, unit_file: Path) -> None:
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
@@ -82,6 +100,13 @@ def test_an_endpoint_that_is_taken_is_one_message(command: Command, unit_file: P
         done = command("serve", f"unit={unit_file}", f"server.transport.listen=[tcp/127.0.0.1:{port}]")
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "zenoh: cannot listen on" in done.stderr
+
+
+@pytest.mark.parametrize("listen", ["tcp/127.0.0.1:7555", ["nonsense"], [5], [""]])
+def test_what_is_no_endpoint_is_one_message(listen: object) -> None:
+    transport = ZenohTransport("ros2_humble", listen, [], 1000)  # type: ignore[arg-type]
+    with pytest.raises(UserError, match="server.transport.listen.*tcp/127.0.0.1:7447"):
+        transport.open()
 
 
 def test_without_a_plugin_it_says_what_to_put_where(

@@ -1,4 +1,7 @@
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
@@ -76,3 +79,22 @@ def test_rerun_writes_a_file(tmp_path: Path) -> None:
 
     play(Rerun("map.rrd"), tmp_path)
     assert (tmp_path / "map.rrd").stat().st_size > 10_000
+
+
+def test_the_path_that_rerun_is_sent_again_and_again_is_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a stand-in for rerun, which need not be there."""
+    from imagination.viewers import rerun
+
+    sent: list[int] = []
+    noted = SimpleNamespace(
+        **dict.fromkeys(("Image", "DepthImage", "Points2D"), lambda *_, **__: None),
+        LineStrips2D=lambda strips: sent.append(len(strips[0])),
+        RecordingStream=lambda _: MagicMock(),
+    )
+    monkeypatch.setitem(sys.modules, "rerun", noted)
+    monkeypatch.setattr(rerun, "require_extra", lambda *_: None)
+    monkeypatch.setattr(rerun, "MOST_PLACES", 6)
+    play(rerun.Rerun("map.rrd", every=1), tmp_path, rounds=5)
+    assert max(sent) == 6 and len(sent) == 16

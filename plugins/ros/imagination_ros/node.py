@@ -4,10 +4,11 @@ Frames that come faster than they are mapped are dropped, the latest wins. Bad m
 """
 
 import logging
+import re
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from imagination.recordings.ros_messages import (
     stamp_of,
     transform_of,
 )
-from imagination.recordings.trajectory import Transforms
+from imagination.recordings.trajectory import JUMP, SECOND, Transforms
 from imagination_ros.codec import GRID, MARKERS, Codec
 
 log = logging.getLogger(__name__)
@@ -74,7 +75,7 @@ class MappingNode:
 
     Attributes:
         counts: frames mapped, dropped and refused, by the reason.
-        mapper: None until the first frame.
+        mapper: None until a frame has a pose.
     """
 
     def __init__(
@@ -93,6 +94,7 @@ class MappingNode:
     ) -> None:
         self.make_mapper, self.publish, self.codec = make_mapper, publish, codec
         self.world, self.mount, self.depth_scale = world, mount_of(mount) if mount else None, depth_scale
+        self.max_difference = max_difference
         self.patience, self.period, self.threshold = patience, period, threshold
         self.counts: Counter[str] = Counter()
         self.mapper: SemanticMapper | None = None
@@ -124,21 +126,15 @@ class MappingNode:
         """Map the latest frame that has a pose, waiting for one; whether there was one."""
         with self._changed:
             frame = self._next() or (self._changed.wait(timeout) and self._next()) or None
-            if frame is None:
-                return False
-            pending, pose = frame
-        try:
-            if self.mapper is None:
-                self.mapper = self.make_mapper(self._camera())
-            self.mapper.update(colour_of(pending.colour), depth_of(pending.depth, self.depth_scale), pose)
-        except UserError as error:
-            with self._changed:
-                self._refuse("frame", error)
+        if frame is None:
+            return False
+        pending, pose = frame
+        if not self._try("frame", lambda: self._map(pending, pose)):
             return False
         with self._changed:
             self.counts["mapped"] += 1
         if time.monotonic() - self._published >= self.period:
-            self.tell(pending.stamp)
+            self._try("publication", lambda: self.tell(pending.stamp))
         return True
 
     def tell(self, stamp: int) -> None:
@@ -147,7 +143,8 @@ class MappingNode:
         self._published = time.monotonic()
         maps = self.mapper.maps
         layers = {"occupancy": maps.occupancy_layer()}
-        layers |= {category: maps.category_layer(category) for category in maps.categories}
+        for category, topic in zip(maps.categories, topics_of(maps.categories), strict=True):
+            layers[topic] = maps.category_layer(category)
         for name, layer in layers.items():
             self.publish(name, GRID, self.codec.occupancy_grid(layer, maps.grid, maps.frame, stamp))
         colours = dict(zip(maps.categories, self.mapper.description.colours, strict=True))
@@ -157,11 +154,29 @@ class MappingNode:
     def summary(self) -> str:
         """What was mapped, dropped and refused."""
         with self._changed:
-            lines = [f"{self.counts['mapped']} frames mapped"]
-            lines += [
-                f"    {count} x {what}" for what, count in self.counts.most_common() if what != "mapped"
-            ]
+            counts = self.counts.copy()
+            counts[f"image without a partner within {self.max_difference} s"] += self._pairing.alone
+            counts["waiting for its pose at the end"] += len(self._pending)
+        lines = [f"{counts.pop('mapped', 0)} frames mapped"]
+        lines += [f"    {count} x {what}" for what, count in counts.most_common() if count]
         return "\n".join(lines)
+
+    def _try(self, what: str, work: Callable[[], None]) -> bool:
+        """Do something for one frame; whether it succeeded."""
+        try:
+            work()
+        except (
+            Exception
+        ) as error:  # OpenCV, onnxruntime, memory, the network: one frame must not end the service
+            with self._changed:
+                self._refuse(what, error)
+            return False
+        return True
+
+    def _map(self, pending: Pending, pose: np.ndarray) -> None:
+        if self.mapper is None:
+            self.mapper = self.make_mapper(self._camera())
+        self.mapper.update(colour_of(pending.colour), depth_of(pending.depth, self.depth_scale), pose)
 
     def _take(self, role: str, message: Any) -> None:
         if role in ("tf", "tf_static"):
@@ -187,37 +202,47 @@ class MappingNode:
     def _next(self) -> tuple[Pending, np.ndarray] | None:
         """The latest frame that has a pose; those before it are dropped, those after it wait for theirs."""
         while self._pending and time.monotonic() - self._pending[0].arrived > self.patience:
-            if self._pose(self._pending[0].stamp) is not None:
+            pose = self._pose(self._pending[0].stamp)
+            if not isinstance(pose, str):
                 break
             self._pending.popleft()
-            self.counts["no pose at its time"] += 1
+            self._leave_out(pose, pose)
         for index in range(len(self._pending) - 1, -1, -1):
             pending = self._pending[index]
             pose = self._pose(pending.stamp)
-            if pose is None:
+            if isinstance(pose, str):
                 continue
             for _ in range(index + 1):
                 self._pending.popleft()
             if index:
                 self.counts["dropped: a later frame came"] += index
-            if pending.stamp <= self._last:
+            if self._last - JUMP * SECOND <= pending.stamp <= self._last:
                 self.counts["time stamp repeated or out of order"] += 1
                 return None
+            if pending.stamp < self._last:  # a bag is played again, or a simulation was reset
+                log.warning(
+                    "The clock went back by %.1f s; mapping goes on", (self._last - pending.stamp) / SECOND
+                )
+                self.counts["jump back of the clock"] += 1
             self._last = pending.stamp
             return pending, pose
         return None
 
-    def _pose(self, stamp: int) -> np.ndarray | None:
-        """Of the colour camera; None as long as something is missing."""
-        if not {"colour", "depth"} <= self._intrinsics.keys():
-            return None
-        frame = self._intrinsics["colour"][1]
-        if self.mount is not None and frame.lstrip("/") == self._transforms.ancestors(frame)[-1]:
-            base, matrix = self.mount
-            self._transforms.add(base, frame, 0, matrix, fixed=True)
+    def _pose(self, stamp: int) -> np.ndarray | str:
+        """Of the colour camera in the world; if something is missing, what."""
+        for kind in ("colour", "depth"):
+            if kind not in self._intrinsics:
+                return f"no camera_info of {kind}"
+        frame, mount = self._intrinsics["colour"][1].lstrip("/"), np.eye(4)
+        if self.mount is not None and frame in (
+            self.mount[0].lstrip("/"),
+            self._transforms.ancestors(frame)[-1],
+        ):
+            frame, mount = self.mount  # where tf does not say it
         if self.world.lstrip("/") not in self._transforms.ancestors(frame):
-            return None
-        return self._transforms.at(self.world, frame, stamp)
+            return f"no transforms from {frame!r} to {self.world!r}"
+        pose = self._transforms.at(self.world, frame, stamp)
+        return "no pose at its time" if pose is None else pose @ mount
 
     def _camera(self) -> RgbdCamera:
         with self._changed:
@@ -226,7 +251,20 @@ class MappingNode:
         return RgbdCamera(colour, depth if depth != colour else None, between)
 
     def _refuse(self, role: str, error: Exception) -> None:
-        what = f"refused: {role}"
+        self._leave_out(f"refused: {role}", f"{role}: {error or repr(error)}")
+
+    def _leave_out(self, what: str, told: str) -> None:
         self.counts[what] += 1
         if self.counts[what] == 1:
-            log.warning("%s: %s (told once, counted from now on)", role, error)
+            log.warning("%s (told once, counted from now on)", told)
+
+
+def topics_of(categories: Sequence[str]) -> list[str]:
+    """Names that ROS allows, one for each category: no dash, no digit first, no two underscores in a row."""
+    found: list[str] = []
+    for category in categories:
+        topic = re.sub("[-_]+", "_", category if category[0].isalpha() else f"category_{category}")
+        while topic in found:
+            topic += "2"
+        found.append(topic)
+    return found

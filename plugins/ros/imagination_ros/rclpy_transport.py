@@ -1,6 +1,8 @@
 """A ROS 2 node through rclpy, where ROS 2 is installed and sourced."""
 
 import importlib
+import logging
+import os
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -8,12 +10,18 @@ from typing import Any
 from imagination.errors import UserError
 from imagination_ros.codec import Codec
 
+log = logging.getLogger(__name__)
+
+LOOPBACK = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOCALHOST_ONLY": "1"}
+"""What keeps ROS 2 to this machine: since Iron, and before."""
+
 
 class RclpyTransport:
     """An rclpy node; see `imagination_ros.server.Transport`.
 
     Messages that come are rclpy's own, whose fields have the names that the node reads. What goes out is encoded by
-    the codec and decoded again by rclpy.
+    the codec and decoded again by rclpy. It speaks within this machine, unless the environment says otherwise: one of
+    the variables of `LOOPBACK` is set.
 
     Args:
         distribution: ROS 2 distribution that is installed.
@@ -34,6 +42,9 @@ class RclpyTransport:
         self._publishers: dict[str, Any] = {}
 
     def open(self) -> None:
+        if not os.environ.keys() & LOOPBACK:
+            os.environ |= LOOPBACK
+            log.info("ROS 2 within this machine alone; to reach others: export ROS_LOCALHOST_ONLY=0")
         # Ctrl-C is the server's: the map is saved first
         options = importlib.import_module("rclpy.signals").SignalHandlerOptions
         self._rclpy.init(signal_handler_options=options.NO)
@@ -48,11 +59,14 @@ class RclpyTransport:
                 message = UserError(f"{kind}: got {size} bytes, expected at most {self.codec.max_bytes}")
             receive(message)
 
-        self._node.create_subscription(_type(kind), topic, handle, self._quality(latched, reliable=latched))
+        quality = self._quality(latched, reliable=latched, depth=100 if latched else 5)
+        self._node.create_subscription(_type(kind), topic, handle, quality)
 
     def publish(self, topic: str, kind: str, message: Any) -> None:
         if topic not in self._publishers:
-            quality = self._quality(latched=True, reliable=True)
+            quality = self._quality(
+                latched=True, reliable=True, depth=1
+            )  # those who come later get the last one
             self._publishers[topic] = self._node.create_publisher(_type(kind), topic, quality)
         decode = importlib.import_module("rclpy.serialization").deserialize_message
         self._publishers[topic].publish(decode(self.codec.encode(message, kind), _type(kind)))
@@ -61,11 +75,11 @@ class RclpyTransport:
         self._rclpy.shutdown()
         self._spinning.join(timeout=5)
 
-    def _quality(self, latched: bool, reliable: bool) -> Any:
+    def _quality(self, latched: bool, reliable: bool, depth: int) -> Any:
         """Quality of service: the last message for those who come later, or only what is current."""
         qos = importlib.import_module("rclpy.qos")
         return qos.QoSProfile(
-            depth=100 if latched else 5,
+            depth=depth,
             durability=qos.DurabilityPolicy.TRANSIENT_LOCAL if latched else qos.DurabilityPolicy.VOLATILE,
             reliability=qos.ReliabilityPolicy.RELIABLE if reliable else qos.ReliabilityPolicy.BEST_EFFORT,
         )

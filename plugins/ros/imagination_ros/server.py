@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from imagination.errors import check_range
-from imagination.mapping.semantic import SemanticMapper
 from imagination.recordings.ros_messages import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TRANSFORMS
 from imagination_ros.codec import Codec
 from imagination_ros.node import MakeMapper, MappingNode
@@ -95,7 +94,7 @@ class RosServer:
             "threshold": threshold,
         }
 
-    def serve(self, make_mapper: MakeMapper) -> SemanticMapper | None:
+    def serve(self, make_mapper: MakeMapper) -> None:
         """See `imagination.serve.Server`; ends on Ctrl-C and on SIGTERM."""
         stop = threading.Event()
         before = {
@@ -118,7 +117,6 @@ class RosServer:
             for number, handler in before.items():
                 signal.signal(number, handler)
             log.info("%s", node.summary())
-        return node.mapper if node.counts["mapped"] else None
 
     def _subscriptions(self) -> list[tuple[str, str, str]]:
         """Role, topic and type of each."""

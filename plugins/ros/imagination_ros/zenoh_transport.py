@@ -32,29 +32,30 @@ class ZenohTransport:
 
         self._zenoh: Any = zenoh
         self.codec = Codec(distribution, max_bytes)
-        self.listen, self.connect = list(listen), list(connect)
+        self.listen, self.connect = listen, connect
         self._publishers: dict[str, Any] = {}
         self._subscribers: list[Any] = []
 
     def open(self) -> None:
         config = self._zenoh.Config()
-        for key, value in (
-            ("mode", "peer"),
-            ("listen/endpoints", self.listen),
-            ("connect/endpoints", self.connect),
-            ("connect/timeout_ms", -1),  # go on trying: the robot may start later
-            ("connect/exit_on_failure", False),
-            ("scouting/multicast/enabled", False),
-            ("scouting/gossip/enabled", False),
-            ("timestamping/enabled", True),  # history needs it
-        ):
-            config.insert_json5(key, json.dumps(value))
+        settings: dict[str, Any] = {
+            "mode": "peer",
+            "listen/endpoints": self.listen,
+            "connect/endpoints": self.connect,
+            "connect/timeout_ms": -1,  # go on trying: the robot may start later
+            "connect/exit_on_failure": False,
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "timestamping/enabled": True,  # history needs it
+        }
         try:
+            for key, value in settings.items():
+                config.insert_json5(key, json.dumps(value))
             self._session = self._zenoh.open(config)
         except self._zenoh.ZError as error:
             raise UserError(
-                f"zenoh: cannot listen on {self.listen} and connect to {self.connect} ({error}); "
-                "choose others (server.transport.listen, server.transport.connect)"
+                f"zenoh: cannot listen on {self.listen} and connect to {self.connect} ({error}); choose other lists of "
+                "endpoints (server.transport.listen, server.transport.connect), such as [tcp/127.0.0.1:7447]"
             ) from error
 
     def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
