@@ -156,6 +156,29 @@ def test_a_rotation_that_is_already_in_the_mesh_is_not_applied_again(tmp_path: P
 # furniture of our floor plans
 
 
+def test_models_are_made_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Those that are left out as well, with their reasons and notes."""
+    members: dict[str, str | bytes] = {
+        "models/flat/model.obj": obj(FLAT),
+        "models/glass/model.obj": obj(CHAIR, "glass"),
+    }
+    lines = entry(1, "Test#flat", "Chair", CHAIR) | entry(2, "Test#glass", "Chair", CHAIR)
+    members["models/glass/model.mtl"] = MATERIALS
+    members["PluginFurnitureCatalog.properties"] = "\n".join(f"{k}={v}" for k, v in lines.items())
+    path = write_archive(tmp_path / "c.sh3f", members)
+    first = furniture.candidates([path], Cache(tmp_path / "cache"))
+    assert "stretches" in first[0].reason and "transparent" in first[1].notes[0]
+    monkeypatch.setattr(furniture, "_made", must_not_make)
+    assert furniture.candidates([path], Cache(tmp_path / "cache")) == first
+    assert not caplog.text
+
+
+def must_not_make(*_: object) -> None:
+    raise AssertionError("it was there already")
+
+
 @pytest.fixture(scope="module")
 def designed(tmp_path_factory: pytest.TempPathFactory) -> furniture.SweetHomeFurniture:
     folder = tmp_path_factory.mktemp("assets")
