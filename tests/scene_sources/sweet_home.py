@@ -143,14 +143,15 @@ def furnished(level: str = "") -> str:
     )  # fmt: skip
 
 
-def write_home(path: Path, inside: str | None = None) -> Path:
-    """A home with the models of its chair and bed."""
+def write_home(path: Path, inside: str | None = None, extra: Mapping[str, str] | None = None) -> Path:
+    """A home with the models of its chair and bed, and further members."""
     content = furnished() if inside is None else inside
-    members = {
+    members: dict[str, str | bytes] = {
         "Home.xml": home_xml(content),
         "0/model.obj": obj(CHAIR),
         "0/model.mtl": MATERIALS,
         "1/model.obj": obj(BED, "glass"),
         "1/model.mtl": MATERIALS,
+        **(extra or {}),
     }
     return write_archive(path, members)

@@ -20,7 +20,7 @@ from imagination.scenes.scene import SPLITS, Credit, Material, Split
 from imagination_sweethome3d.archives import opened
 from imagination_sweethome3d.catalogue import Catalogue, Entry, fingerprint, read_catalogue
 from imagination_sweethome3d.labels import label_of
-from imagination_sweethome3d.models import SIZES, UnfitError, check_size, load_model
+from imagination_sweethome3d.models import SIZES, UnfitError, check_size, fitted, read_model
 from imagination_sweethome3d.seats import corners_of, seats_and_surfaces
 
 INSTALLED = Path("/usr/share/sweethome3d/furniture")
@@ -235,7 +235,7 @@ def _told(arrays: Mapping[str, np.ndarray]) -> tuple[str, tuple[str, ...]]:
 def _made(path: Path, label: str, entry: Entry) -> dict[str, np.ndarray]:
     try:
         with opened(path) as archive:
-            model = load_model(archive, entry.model, entry.size, entry.turn)
+            model = fitted(read_model(archive, entry.model), entry.size, entry.turn)
     except UnfitError as error:
         return {"told": _telling(str(error), ())}
     seats, surfaces = seats_and_surfaces(label, corners_of(model.vertices, model.faces))

@@ -86,25 +86,31 @@ def check_size(label: str, size: tuple[float, float, float]) -> None:
             raise UnfitError(f"its {side} is {value:.2f} m, expected {low} to {high} m for {label}")
 
 
-def load_model(
-    archive: Archive, name: str, size: tuple[float, float, float], turn: Float[np.ndarray, "3 3"]
-) -> Model:
-    """A model of an archive.
+def read_model(archive: Archive, name: str) -> ObjMesh:
+    """The mesh of a model as its file has it.
+
+    Raises:
+        UnfitError: if it is no OBJ file, missing or malformed.
+    """
+    if not name.lower().endswith(".obj"):
+        raise UnfitError(f"its model {name} is no OBJ file")
+    try:
+        return read_obj(archive, name)
+    except UserError as error:
+        raise UnfitError(str(error)) from error
+
+
+def fitted(mesh: ObjMesh, size: tuple[float, float, float], turn: Float[np.ndarray, "3 3"]) -> Model:
+    """A mesh made ready.
 
     Args:
-        archive, name: where its OBJ file is.
+        mesh: as its file has it.
         size: width, depth and height of the catalogue, metres.
         turn: the catalogue's rotation of the mesh.
 
     Raises:
         UnfitError: if it is not sane, with the reason.
     """
-    if not name.lower().endswith(".obj"):
-        raise UnfitError(f"its model {name} is no OBJ file")
-    try:
-        mesh = read_obj(archive, name)
-    except UserError as error:
-        raise UnfitError(str(error)) from error
     notes = [*mesh.notes]
     vertices = _scaled(mesh, size, turn, notes)
     kept = _kept_faces(mesh, vertices, notes)
