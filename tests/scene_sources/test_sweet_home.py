@@ -36,6 +36,7 @@ from imagination_sweethome3d import archives, catalogue, furniture, home_file, l
 from imagination_sweethome3d import homes as home_source  # isort: skip
 from imagination_sweethome3d import obj as obj_file  # isort: skip
 from imagination_sweethome3d.obj import read_obj  # isort: skip
+from imagination_sweethome3d.shell import build_shell  # isort: skip
 
 SIZE = (0.5, 0.5, 0.9)
 
@@ -182,7 +183,7 @@ FLAT = tuple((x0, 5.0, z0, x1, 5.0, z1) for x0, _, z0, x1, _, z1 in CHAIR[:1])
     ("content", "changes", "told"),
     [
         ("", {}, "has no faces"),
-        (obj(CHAIR), {"width": "120"}, "its width is 1.20 m, expected 0.3 to 1.0 m for chair"),
+        (obj(CHAIR), {"width": "120"}, "its width is 1.20 m, expected 0.25 to 1.0 m for chair"),
         (obj(CHAIR), {"width": "90"}, "stretches its mesh 2.0"),
         (obj(FLAT), {}, "stretches its mesh inf"),
         (obj(CHAIR) + "f 1 1 1\n" * 100, {}, "of its triangles have no area"),
@@ -206,6 +207,21 @@ def test_a_model_that_is_not_sane_is_left_out_with_its_reason(
     assert told in found.reason
     with pytest.raises(UserError, match="no chair, table or bed"):
         furniture.SweetHomeFurniture(str(tmp_path), Cache(tmp_path / "cache")).credits()
+
+
+def test_what_is_left_out_and_what_is_stretched_is_told(tmp_path: Path) -> None:
+    lines = entry(1, "Test#chair", "Chair", CHAIR, width="60") | entry(
+        2, "Test#deckChair", "Deck chair", CHAIR
+    )
+    lines |= entry(3, "Test#pool", "Pool table", TABLE) | entry(4, "Test#vase", "Vase", TABLE)
+    members = {"models/chair/model.obj": obj(CHAIR), "models/chair/model.mtl": MATERIALS}
+    members["PluginFurnitureCatalog.properties"] = "\n".join(f"{k}={v}" for k, v in lines.items())
+    path = write_archive(tmp_path / "c.sh3f", members)
+    assert [found[1:] for found in furniture.candidates([path], Cache(tmp_path / "cache"))] == [
+        ("chair", "", ("it is stretched 1.33 times more along one axis than along another",)),
+        ("lounger", "our floor plans have no lounger", ()),
+        ("?", "it is only called like furniture", ()),
+    ]
 
 
 def test_a_rotation_that_is_already_in_the_mesh_is_not_applied_again(tmp_path: Path) -> None:
@@ -359,6 +375,16 @@ def test_a_dangling_archive_is_told(tmp_path: Path) -> None:
         ("Pool table", (2.5, 1.4, 0.8), None),
         ("Desk lamp", (0.2, 0.2, 0.4), None),
         ("Wheelchair", SIZE, None),
+        ("Light oak chair", SIZE, "chair"),
+        ("Scopia#desk_lamp2", (0.2, 0.2, 0.4), None),
+        ("Adjustable desk", (1.4, 0.7, 0.75), "desk"),
+        ("Adjustable office chair", SIZE, "office_chair"),
+        ("Dressing table", (0.9, 0.5, 1.3), "desk"),
+        ("Outdoor chair", SIZE, "chair"),
+        ("Cot with adjustable height", (0.7, 1.2, 1.1), "cot"),
+        ("Deck chair", (0.7, 1.3, 0.8), "lounger"),
+        ("Armchair ottoman", (0.8, 1.5, 1.0), "armchair"),
+        ("Round ottoman", (0.6, 0.6, 0.4), "stool"),
     ],
 )
 def test_labels_of_ids_and_english_names(text: str, size: labels.Size, label: str | None) -> None:
@@ -366,18 +392,35 @@ def test_labels_of_ids_and_english_names(text: str, size: labels.Size, label: st
 
 
 @pytest.mark.parametrize(
-    ("name", "label"),
+    ("name", "size", "label"),
     [
-        ("Stuhl rot", "chair"),
-        ("Fauteuil", "armchair"),
-        ("Lit", "single_bed"),
-        ("椅子", "chair"),
-        ("Trona", "chair"),
-        ("Xyz", None),
+        ("Stuhl rot", SIZE, "chair"),
+        ("Fauteuil", SIZE, "armchair"),
+        ("Lit", SIZE, "single_bed"),
+        ("椅子", SIZE, "chair"),
+        ("Trona", SIZE, "chair"),
+        ("Xyz", SIZE, None),
+        ("Küchenstuhl", SIZE, "chair"),
+        ("Bürostuhl", SIZE, "office_chair"),
+        ("Rollstuhl", SIZE, None),
+        ("Liegestuhl", (0.7, 1.6, 0.9), "lounger"),
+        ("Chaise longue", (0.7, 1.8, 0.8), "lounger"),
+        ("Chaise", SIZE, "chair"),
+        ("Esstisch", (1.6, 0.9, 0.75), "dining_table"),
+        ("Eettafel", (1.6, 0.9, 0.75), "dining_table"),
+        ("Ruokapöytä", (1.6, 0.9, 0.75), "dining_table"),
+        ("Tischdecke", (1.6, 0.9, 0.01), None),
+        ("Schreibtisch", (1.6, 0.8, 0.75), "desk"),
+        ("Doppelbett", (1.6, 2.0, 0.9), "double_bed"),
+        ("Tweepersoonsbed", (1.6, 2.0, 0.9), "double_bed"),
+        ("Nachttisch", (0.4, 0.4, 0.5), "nightstand"),
+        ("Table de chevet", (0.4, 0.4, 0.5), "nightstand"),
+        ("床头柜", (0.4, 0.4, 0.5), "nightstand"),
+        ("床", (1.6, 2.0, 0.9), "double_bed"),
     ],
 )
-def test_labels_of_names_in_any_language(name: str, label: str | None) -> None:
-    assert labels.label_of_name(name, {"trona": "chair"}, SIZE) == label
+def test_labels_of_names_in_any_language(name: str, size: labels.Size, label: str | None) -> None:
+    assert labels.label_of_name(name, {"trona": "chair"}, size) == label
 
 
 # homes
@@ -531,10 +574,14 @@ def test_more_walls_and_openings_than_a_home_has_are_refused(tmp_path: Path) -> 
     door = '<doorOrWindow name="Door" x="{}" y="0" width="0.1" depth="10" height="{}"/>'
     doors = "".join(door.format(number, 1 + number / 10) for number in range(1, 300))
     chair = piece("", "Chair", 100, 100, (45, 45, 90))
-    with pytest.raises(UserError, match="299 doors and windows take more than 50000 boxes"):
-        homes_of(tmp_path / "a", walls(0, 0, 500, 400) + chair + doors).load("flat")
-    with pytest.raises(UserError, match="got 4000 walls and 299 doors and windows"):
-        homes_of(tmp_path / "b", walls(0, 0, 500, 400) * 1000 + chair + doors).load("flat")
+    for copies, told in (
+        (1, "299 doors and windows take more than 50000 boxes"),
+        (1000, "got 4000 walls and 299 doors"),
+    ):
+        inside = walls(0, 0, 500, 400) * copies + chair + doors
+        (level,) = home_file.read_home(write_home(tmp_path / "h.sh3d", inside))
+        with pytest.raises(UserError, match=told):
+            build_shell(level)
 
 
 def test_homes_name_the_authors_of_their_models(tmp_path: Path) -> None:

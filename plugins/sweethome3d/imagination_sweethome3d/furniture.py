@@ -19,7 +19,7 @@ from imagination.scenes.procedural.stock import STYLED, ProceduralFurniture
 from imagination.scenes.scene import SPLITS, Credit, Material, Split
 from imagination_sweethome3d.archives import opened
 from imagination_sweethome3d.catalogue import Catalogue, Entry, fingerprint, read_catalogue
-from imagination_sweethome3d.labels import label_of
+from imagination_sweethome3d.labels import label_of, only_sounds
 from imagination_sweethome3d.models import SIZES, UnfitError, check_size, fitted, read_model
 from imagination_sweethome3d.seats import corners_of, seats_and_surfaces
 
@@ -115,7 +115,7 @@ def assets_folder() -> Path:
 
 
 def candidates(archives: Sequence[Path], cache: Cache) -> list[Candidate]:
-    """Every entry of the archives that is furniture of a known label, with the reason if it is left out."""
+    """Every entry of the archives that is furniture, or is called like some, with the reason if it is left out."""
     found = []
     for path in archives:
         catalogue: Catalogue = read_catalogue(path)
@@ -123,6 +123,10 @@ def candidates(archives: Sequence[Path], cache: Cache) -> list[Candidate]:
             label = entry_label(entry)
             if label in SIZES:
                 found.append(_examined(path, label, entry, cache))
+            elif label is not None:
+                found.append(Candidate(entry, label, f"our floor plans have no {label}"))
+            elif only_sounds([entry.name, entry.id]):
+                found.append(Candidate(entry, "?", "it is only called like furniture"))
     return found
 
 
