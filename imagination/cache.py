@@ -32,6 +32,8 @@ log = logging.getLogger(__name__)
 
 Arrays = dict[str, np.ndarray]
 
+KINDS = "biuf"
+"""Of arrays' types: True and False, integers, floats."""
 MAGIC = b"imagination cache 1\n"
 DIGEST = hashlib.sha256().digest_size
 
@@ -100,8 +102,8 @@ class Cache:
             raise UserError(
                 f"cache: cannot read {path}: {error.strerror}; remove it or set paths.cache anew"
             ) from error
-        except DamagedError:
-            log.warning("cache: %s is damaged (its checksum does not fit); it is made again", path)
+        except DamagedError as error:
+            log.warning("cache: %s is damaged (%s); it is made again", path, error)
             return None
         with suppress(OSError):  # removed meanwhile, or another user's
             os.utime(path)  # its time says when it was last used
@@ -185,9 +187,15 @@ def _remove_if_stale(part: Path) -> None:
 
 
 def encode(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Arrays as the content of a file; see the module's docstring."""
+    """Arrays as the content of a file; see the module's docstring.
+
+    Raises:
+        TypeError: if an array holds anything but numbers, which `decode` would refuse.
+    """
     header, parts = [], []
     for name, array in arrays.items():
+        if array.dtype.kind not in KINDS:
+            raise TypeError(f"cache: got {name} of type {array.dtype}, expected numbers; text goes as bytes")
         raw = (np.packbits(array) if array.dtype == bool else np.ascontiguousarray(array)).tobytes()
         parts.append(raw if array.dtype == np.uint8 else zlib.compress(raw, level=1))
         header.append({"name": name, "type": array.dtype.str, "shape": array.shape, "size": len(parts[-1])})
@@ -205,7 +213,7 @@ def decode(content: bytes) -> Arrays:
     start = len(MAGIC) + DIGEST
     body = memoryview(content)[start:]
     if content[: len(MAGIC)] != MAGIC or content[len(MAGIC) : start] != hashlib.sha256(body).digest():
-        raise DamagedError
+        raise DamagedError("its checksum does not fit")
     try:
         return dict(_arrays(body))
     except (
@@ -217,21 +225,23 @@ def decode(content: bytes) -> Arrays:
         RecursionError,
         zlib.error,
     ) as error:
-        raise DamagedError from error  # the checksum fits, but a stranger may have computed it
+        raise DamagedError(
+            f"its content is none: {error!r}"
+        ) from error  # the checksum fits, but a stranger may have computed it
 
 
 def _arrays(body: memoryview) -> Iterator[tuple[str, np.ndarray]]:
     place = 4 + int.from_bytes(body[:4], "big")
     for entry in json.loads(bytes(body[4:place])):
         kind, shape = np.dtype(entry["type"]), tuple(entry["shape"])
-        if kind.kind not in "biuf" or min(shape, default=0) < 0 or entry["size"] < 0:
-            raise DamagedError
+        if kind.kind not in KINDS or min(shape, default=0) < 0 or entry["size"] < 0:
+            raise DamagedError(f"it holds {entry['type']} of the shape {shape}")
         stored = body[place : place + entry["size"]]
         place += entry["size"]
         size = -(-prod(shape) // 8) if kind.kind == "b" else prod(shape) * kind.itemsize
         raw = bytes(stored) if kind == np.uint8 else zlib.decompressobj().decompress(stored, size + 1)
         if len(raw) != size:  # never more than the file says, whatever it unpacks to
-            raise DamagedError
+            raise DamagedError("its arrays are not as long as it says")
         flat = np.frombuffer(raw, np.uint8)
         whole = (
             np.unpackbits(flat, count=prod(shape)).view(bool) if kind.kind == "b" else flat.copy().view(kind)

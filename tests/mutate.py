@@ -21,10 +21,10 @@ def survives(mutation: Mutation) -> bool:
     """Whether the tests still pass with the mutation in place."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
-        for part in ("imagination", "conf", "tests"):
+        for part in ("imagination", "conf", "plugins", "tests"):
             shutil.copytree(ROOT / part, copy / part, ignore=shutil.ignore_patterns("__pycache__"))
         shutil.copy(ROOT / "pyproject.toml", copy)
-        target = copy / "imagination" / mutation.file
+        target = copy / ("" if mutation.file.startswith("plugins/") else "imagination") / mutation.file
         text = target.read_text()
         if text.count(mutation.old) != 1:
             raise ValueError(

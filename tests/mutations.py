@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 
 class Mutation(NamedTuple):
-    """Replace the only occurrence of `old` in `file` (under imagination/) by `new`; `tests` must notice."""
+    """Replace the only occurrence of `old` in `file` (in imagination/, or plugins/…) by `new`; `tests` must notice."""
 
     what: str
     file: str
@@ -594,5 +594,61 @@ MUTATIONS = [
         "return (logits + mirrored.flip(-1)) / 2",
         "return (logits + mirrored) / 2",
         "tests/baselines/test_hrnet.py",
+    ),
+    Mutation(
+        "home: angles counter-clockwise on the plan",
+        "plugins/sweethome3d/imagination_sweethome3d/home_file.py",
+        '-_number(node, "angle", 0.0)',
+        '_number(node, "angle", 0.0)',
+        "tests/scene_sources/test_sweet_home.py -k plan_has_it",
+    ),
+    Mutation(
+        "home: mirrored models are not",
+        "plugins/sweethome3d/imagination_sweethome3d/homes.py",
+        "if piece.mirrored:",
+        "if False:",
+        "tests/scene_sources/test_sweet_home.py -k plan_has_it",
+    ),
+    Mutation(
+        "home: elevation of pieces left out",
+        "plugins/sweethome3d/imagination_sweethome3d/homes.py",
+        "z = level.elevation + piece.elevation",
+        "z = level.elevation",
+        "tests/scene_sources/test_sweet_home.py -k plan_has_it",
+    ),
+    Mutation(
+        "home: pitch the other way",
+        "plugins/sweethome3d/imagination_sweethome3d/homes.py",
+        "np.cos(angle), np.sin(angle)",
+        "np.cos(angle), -np.sin(angle)",
+        "tests/scene_sources/test_sweet_home.py -k plan_has_it",
+    ),
+    Mutation(
+        "home: a home and a level of one name",
+        "plugins/sweethome3d/imagination_sweethome3d/homes.py",
+        "stem in _scenes_of(other) and",
+        "False and",
+        "tests/scene_sources/test_sweet_home.py -k wrong_folder",
+    ),
+    Mutation(
+        "model: left and right exchanged",
+        "plugins/sweethome3d/imagination_sweethome3d/models.py",
+        "[-standing[:, 0],",
+        "[standing[:, 0],",
+        "tests/scene_sources/test_sweet_home.py -k plan_has_it",
+    ),
+    Mutation(
+        "catalogue: one creator for all",
+        "plugins/sweethome3d/imagination_sweethome3d/catalogue.py",
+        'row.get("creator", "unknown")',
+        '"Somebody"',
+        "tests/scene_sources/test_sweet_home.py -k latin",
+    ),
+    Mutation(
+        "furniture: models made at every start",
+        "plugins/sweethome3d/imagination_sweethome3d/furniture.py",
+        'cache.get_or_build("models", key, lambda: _made(path, label, entry))',
+        "_made(path, label, entry)",
+        "tests/scene_sources/test_sweet_home.py -k made_once",
     ),
 ]

@@ -6,10 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from imagination import assets
+from imagination import assets, plugins
 from imagination.errors import UserError
 from tests.conftest import Command
 from tests.scene_sources.sweet_home import write_catalogue, write_home
+
+plugins.activate()
+
+from imagination_sweethome3d.assets import examine  # noqa: E402 isort: skip
 
 
 def test_assets_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
@@ -42,7 +46,7 @@ def test_the_furniture_is_fetched_without_root_and_listed(
     monkeypatch.setenv("PATH", f"{tools}:{os.environ['PATH']}")
     monkeypatch.setenv("IMAGINATION_ASSETS", str(tmp_path / "assets"))
     assets.main(["sweethome3d"])
-    assert "1 furniture archives" in capsys.readouterr().out
+    assert "1 furniture archives of Sweet Home 3D with 12 pieces" in capsys.readouterr().out
     assert list((tmp_path / "assets").rglob("Test.sh3f"))
     assets.main(["sweethome3d", "list=true"])
     lines = capsys.readouterr().out.splitlines()
@@ -62,6 +66,17 @@ def test_a_failed_fetch_says_how_to_get_it_elsewhere(tmp_path: Path, monkeypatch
     monkeypatch.setenv("IMAGINATION_ASSETS", str(tmp_path / "none"))
     with pytest.raises(UserError, match="apt-get download failed: E: no network; install Debian's package"):
         assets.main(["sweethome3d"])
+
+
+def test_what_is_called_an_archive_and_is_none_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("IMAGINATION_ASSETS", str(tmp_path))
+    (tmp_path / "fake.sh3f").write_text("no zip")
+    with pytest.raises(UserError, match="fake.sh3f: is not a zip file"):
+        assets.main(["sweethome3d"])
+    (finding,) = examine()
+    assert finding.good is False and "fake.sh3f: is not a zip file" in finding.told
 
 
 def test_the_doctor_tells_about_the_machine_and_the_plugins(command: Command) -> None:

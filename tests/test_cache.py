@@ -65,6 +65,13 @@ def test_any_array_comes_back(array: np.ndarray) -> None:
     assert same(back, {"a": array, "b": array.T})
 
 
+@pytest.mark.parametrize("array", [np.array(["text"]), np.array([None]), np.array([1j])])
+def test_what_could_not_be_read_back_is_not_stored(tmp_path: Path, array: np.ndarray) -> None:
+    with pytest.raises(TypeError, match="cache: got reason of type .*, expected numbers"):
+        Cache(tmp_path).store("models", KEY, {"reason": array})
+    assert not list(tmp_path.iterdir())
+
+
 def test_key_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = Cache(tmp_path)
     path = cache.path("truth", KEY)
@@ -95,7 +102,7 @@ def test_damaged_entry_is_reported_and_made_again(
     path.write_bytes(bytes(changed))
     with caplog.at_level(logging.WARNING):
         assert cache.load("truth", KEY) is None
-    assert str(path) in caplog.text and "damaged" in caplog.text
+    assert f"{path} is damaged (its checksum does not fit); it is made again" in caplog.text
     assert same(cache.get_or_build("truth", KEY, lambda: ENTRY), ENTRY)
     assert same(cache.get_or_build("truth", KEY, must_not_build), ENTRY)
 

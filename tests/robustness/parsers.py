@@ -1,8 +1,10 @@
 """Every parser of foreign files, with valid examples to start from. A new parser is one line of `PARSERS`."""
 
 import hashlib
+import io
 import json
 import tempfile
+import zipfile
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.util import find_spec
@@ -12,12 +14,15 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from omegaconf import OmegaConf
+from PIL import Image
 
+from imagination import plugins
 from imagination.cache import MAGIC, DamagedError, decode, encode
 from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint
 from imagination.config import compose
 from imagination.errors import UserError
 from imagination.resume import END, _read
+from tests.scene_sources import sweet_home
 
 
 class Parser(NamedTuple):
@@ -106,3 +111,75 @@ PARSERS = [
 ]
 if find_spec("litdata") is not None:  # an optional extra
     PARSERS.append(Parser("shards", corpus, lambda: described()[:1]))
+
+
+SPLIT = b"\n####\n"
+"""Between the members of an archive that a file stands for."""
+
+
+def within(names: Sequence[str], read: Callable[[Path], object]) -> Callable[[Path], object]:
+    """Read an archive whose members with these names are the parts of the file."""
+
+    def parse(path: Path) -> object:
+        parts = path.read_bytes().split(SPLIT, len(names) - 1)
+        with tempfile.TemporaryDirectory() as folder:
+            return read(
+                sweet_home.write_archive(Path(folder) / "a.zip", dict(zip(names, parts, strict=False)))
+            )
+
+    return parse
+
+
+def home(path: Path) -> object:
+    """Read a home of Sweet Home 3D."""
+    from imagination_sweethome3d.home_file import read_home
+
+    return read_home(path)
+
+
+def catalogue(path: Path) -> object:
+    """Read a catalogue of Sweet Home 3D's furniture."""
+    from imagination_sweethome3d.catalogue import read_catalogue
+
+    return read_catalogue(path)
+
+
+def model(path: Path) -> object:
+    """Read and fit a model."""
+    from imagination_sweethome3d.archives import opened
+    from imagination_sweethome3d.models import fitted, read_model
+
+    with opened(path) as archive:
+        return fitted(read_model(archive, "m.obj"), (0.45, 0.45, 0.9), np.eye(3))
+
+
+@cache
+def homes_and_furniture() -> dict[str, list[bytes]]:
+    """Valid files of each kind."""
+    with tempfile.TemporaryDirectory() as folder:
+        archive = sweet_home.write_catalogue(Path(folder) / "a.sh3f").read_bytes()
+        whole = sweet_home.write_home(Path(folder) / "a.sh3d").read_bytes()
+    picture = io.BytesIO()
+    Image.new("RGB", (4, 4), (200, 100, 0)).save(picture, "PNG")
+    parts = sweet_home.obj(sweet_home.CHAIR).encode(), sweet_home.MATERIALS.encode() + b"map_Kd p.png\n"
+    with zipfile.ZipFile(io.BytesIO(archive)) as file:
+        rows = file.read("PluginFurnitureCatalog.properties")
+    return {
+        "plan": [sweet_home.home_xml(sweet_home.furnished()).encode()],
+        "rows": [rows],
+        "model": [SPLIT.join([*parts, picture.getvalue()])],
+        "archive": [whole],
+    }
+
+
+plugins.activate()
+PARSERS += [
+    Parser("sh3d", home, lambda: homes_and_furniture()["archive"]),
+    Parser("sh3d-plan", within(["Home.xml"], home), lambda: homes_and_furniture()["plan"]),
+    Parser(
+        "sh3f-rows",
+        within(["PluginFurnitureCatalog.properties"], catalogue),
+        lambda: homes_and_furniture()["rows"],
+    ),
+    Parser("obj", within(["m.obj", "model.mtl", "p.png"], model), lambda: homes_and_furniture()["model"]),
+]

@@ -43,7 +43,7 @@ def obj(boxes: Iterable[Box], material: str = "plain") -> str:
 MATERIALS = "newmtl plain\nKd 0.6 0.4 0.2\nnewmtl glass\nKd 0.5 0.7 0.9\nd 0.3\nnewmtl air\nd 0\n"
 
 
-def entry(number: int, id: str, name: str, boxes: Iterable[Box], **changes: str) -> Mapping[str, str]:
+def entry(number: int, id: str, name: str, boxes: Iterable[Box], **changes: str) -> dict[str, str]:
     """Lines of a catalogue for one entry whose size is its boxes'."""
     corners = np.array(list(boxes))
     size = corners[:, 3:].max(axis=0) - corners[:, :3].min(axis=0)
@@ -75,7 +75,7 @@ def write_archive(path: Path, members: Mapping[str, str | bytes]) -> Path:
     return path
 
 
-def write_catalogue(path: Path, extra: Mapping[str, Iterable[Box]] | None = None) -> Path:
+def write_catalogue(path: Path) -> Path:
     """An archive with four chairs, tables and beds each, in three sizes that differ."""
     properties: dict[str, str] = {}
     members: dict[str, str | bytes] = {"LICENSE.TXT": "http://creativecommons.org/licenses/by/3.0/"}
@@ -143,14 +143,15 @@ def furnished(level: str = "") -> str:
     )  # fmt: skip
 
 
-def write_home(path: Path, inside: str | None = None) -> Path:
-    """A home with the models of its chair and bed."""
+def write_home(path: Path, inside: str | None = None, extra: Mapping[str, str] | None = None) -> Path:
+    """A home with the models of its chair and bed, and further members."""
     content = furnished() if inside is None else inside
-    members = {
+    members: dict[str, str | bytes] = {
         "Home.xml": home_xml(content),
         "0/model.obj": obj(CHAIR),
         "0/model.mtl": MATERIALS,
         "1/model.obj": obj(BED, "glass"),
         "1/model.mtl": MATERIALS,
+        **(extra or {}),
     }
     return write_archive(path, members)

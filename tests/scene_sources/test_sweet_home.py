@@ -1,10 +1,13 @@
 """Sweet Home 3D: what is read of catalogues and homes, what is left out, and what strangers' archives may not do."""
 
+import io
+import os
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from imagination.cache import Cache
 from imagination.categories import CategoryTable
@@ -17,6 +20,7 @@ from tests.scene_sources.sweet_home import (
     CHAIR,
     MATERIALS,
     TABLE,
+    Box,
     entry,
     furnished,
     home_xml,
@@ -28,8 +32,11 @@ from tests.scene_sources.sweet_home import (
     write_home,
 )
 
-from imagination_sweethome3d import archives, furniture, home_file, labels  # isort: skip
+from imagination_sweethome3d import archives, catalogue, furniture, home_file, labels  # isort: skip
+from imagination_sweethome3d import homes as home_source  # isort: skip
+from imagination_sweethome3d import obj as obj_file  # isort: skip
 from imagination_sweethome3d.obj import read_obj  # isort: skip
+from imagination_sweethome3d.shell import build_shell  # isort: skip
 
 SIZE = (0.5, 0.5, 0.9)
 
@@ -74,6 +81,15 @@ def test_a_damaged_member_and_what_is_no_archive_are_told(tmp_path: Path) -> Non
             pass
 
 
+def test_an_archive_of_a_later_zip_version_is_told(tmp_path: Path) -> None:
+    path = write_archive(tmp_path / "a.zip", {"thing": "x"})
+    content = bytearray(path.read_bytes())
+    content[content.rindex(b"PK\x01\x02") + 6] = 99  # the version that it takes to read the member
+    path.write_bytes(bytes(content))
+    with pytest.raises(UserError, match="zip file version 9.9"), archives.opened(path):
+        pass
+
+
 # models
 
 
@@ -105,6 +121,61 @@ def test_a_malformed_line_is_told_with_its_number(tmp_path: Path, line: str, tol
         model(tmp_path, f"v 0 0 0\n{line}\n")
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("v 0 0 0\nf" + " 1" * archives.MAX_LINE, "has a line of more than"),
+        ("vt 0 0\n" * 101, "has more than 100 vertices, texture coordinates or triangles"),
+        ("v 0 0 0\n" * 101, "has more than 100 vertices, texture coordinates or triangles"),
+        (
+            "v 0 0 0\n" + "f 1 1 1 1 1 1\n" * 30,
+            "has more than 100 vertices, texture coordinates or triangles",
+        ),
+        ("mtllib many.mtl\n", "more than 256 materials"),
+        ("".join(f"mtllib {number}.mtl\n" for number in range(17)), "more than 16 material files"),
+    ],
+)
+def test_a_model_of_more_than_any_has_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, told: str
+) -> None:
+    monkeypatch.setattr(obj_file, "MAX_ELEMENTS", 100)
+    members = {f"{number}.mtl": "" for number in range(17)}
+    path = write_archive(tmp_path / "m.zip", {"m.obj": text, "many.mtl": "newmtl x\n" * 300, **members})
+    with archives.opened(path) as archive, pytest.raises(UserError, match=told):
+        read_obj(archive, "m.obj")
+
+
+def test_what_is_named_again_is_read_once_and_noted_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = io.BytesIO()
+    Image.new("RGB", (4, 4), (200, 100, 0)).save(picture, "PNG")
+    materials = "newmtl a\n" + "map_Kd p.png\n" * 9
+    text = (
+        "mtllib m.mtl\n" * 9 + "mtllib none.mtl\n" * 9 + "usemtl a\n" + obj(CHAIR[:1]).replace("usemtl", "#")
+    )
+    path = write_archive(tmp_path / "m.zip", {"m.obj": text, "m.mtl": materials, "p.png": picture.getvalue()})
+    read: list[str] = []
+    with archives.opened(path) as archive:
+        monkeypatch.setattr(obj_file, "picture", lambda archive, name: read.append(name))
+        mesh = read_obj(archive, "m.obj")
+        many = "".join(f"mtllib {number}.mtl\n" for number in range(99))
+    assert read == ["p.png"] and len(mesh.looks) == 2
+    assert mesh.notes == ["its material file none.mtl is missing", "its material file model.mtl is missing"]
+    assert len(model(tmp_path, many).notes) == obj_file.MAX_NOTES  # type: ignore[attr-defined]
+
+
+def test_a_picture_is_what_it_is_called_or_none(tmp_path: Path) -> None:
+    """Pillow would start Ghostscript for this one."""
+    script = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\n%%EOF\n"
+    path = write_archive(tmp_path / "m.zip", {"x.png": script})
+    with (
+        archives.opened(path) as archive,
+        pytest.raises(UserError, match="x.png is no picture that can be read"),
+    ):
+        obj_file.picture(archive, "x.png")
+
+
 FLAT = tuple((x0, 5.0, z0, x1, 5.0, z1) for x0, _, z0, x1, _, z1 in CHAIR[:1])
 
 
@@ -112,7 +183,7 @@ FLAT = tuple((x0, 5.0, z0, x1, 5.0, z1) for x0, _, z0, x1, _, z1 in CHAIR[:1])
     ("content", "changes", "told"),
     [
         ("", {}, "has no faces"),
-        (obj(CHAIR), {"width": "120"}, "its width is 1.20 m, expected 0.3 to 1.0 m for chair"),
+        (obj(CHAIR), {"width": "120"}, "its width is 1.20 m, expected 0.25 to 1.0 m for chair"),
         (obj(CHAIR), {"width": "90"}, "stretches its mesh 2.0"),
         (obj(FLAT), {}, "stretches its mesh inf"),
         (obj(CHAIR) + "f 1 1 1\n" * 100, {}, "of its triangles have no area"),
@@ -138,6 +209,21 @@ def test_a_model_that_is_not_sane_is_left_out_with_its_reason(
         furniture.SweetHomeFurniture(str(tmp_path), Cache(tmp_path / "cache")).credits()
 
 
+def test_what_is_left_out_and_what_is_stretched_is_told(tmp_path: Path) -> None:
+    lines = entry(1, "Test#chair", "Chair", CHAIR, width="60") | entry(
+        2, "Test#deckChair", "Deck chair", CHAIR
+    )
+    lines |= entry(3, "Test#pool", "Pool table", TABLE) | entry(4, "Test#vase", "Vase", TABLE)
+    members = {"models/chair/model.obj": obj(CHAIR), "models/chair/model.mtl": MATERIALS}
+    members["PluginFurnitureCatalog.properties"] = "\n".join(f"{k}={v}" for k, v in lines.items())
+    path = write_archive(tmp_path / "c.sh3f", members)
+    assert [found[1:] for found in furniture.candidates([path], Cache(tmp_path / "cache"))] == [
+        ("chair", "", ("it is stretched 1.33 times more along one axis than along another",)),
+        ("lounger", "our floor plans have no lounger", ()),
+        ("?", "it is only called like furniture", ()),
+    ]
+
+
 def test_a_rotation_that_is_already_in_the_mesh_is_not_applied_again(tmp_path: Path) -> None:
     turned = {"modelRotation": "0 0 1 0 1 0 -1 0 0"}
     lines = [f"{k}={v}" for k, v in entry(1, "Test#table", "Table", TABLE, **turned).items()]
@@ -154,6 +240,29 @@ def test_a_rotation_that_is_already_in_the_mesh_is_not_applied_again(tmp_path: P
 
 
 # furniture of our floor plans
+
+
+def test_models_are_made_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Those that are left out as well, with their reasons and notes."""
+    members: dict[str, str | bytes] = {
+        "models/flat/model.obj": obj(FLAT),
+        "models/glass/model.obj": obj(CHAIR, "glass"),
+    }
+    lines = entry(1, "Test#flat", "Chair", CHAIR) | entry(2, "Test#glass", "Chair", CHAIR)
+    members["models/glass/model.mtl"] = MATERIALS
+    members["PluginFurnitureCatalog.properties"] = "\n".join(f"{k}={v}" for k, v in lines.items())
+    path = write_archive(tmp_path / "c.sh3f", members)
+    first = furniture.candidates([path], Cache(tmp_path / "cache"))
+    assert "stretches" in first[0].reason and "transparent" in first[1].notes[0]
+    monkeypatch.setattr(furniture, "_made", must_not_make)
+    assert furniture.candidates([path], Cache(tmp_path / "cache")) == first
+    assert not caplog.text
+
+
+def must_not_make(*_: object) -> None:
+    raise AssertionError("it was there already")
 
 
 @pytest.fixture(scope="module")
@@ -232,6 +341,24 @@ def test_missing_archives_are_told(tmp_path: Path) -> None:
         furniture.candidates(furniture.find_archives(str(tmp_path)), Cache(tmp_path / "cache"))
 
 
+def test_names_beyond_latin_and_entries_beyond_number(tmp_path: Path) -> None:
+    """Characters beyond 16 bits are two escapes; half a pair, and a number of 5000 digits, do no harm."""
+    lines = [
+        f"{key}={value}" for key, value in entry(1, "Test#chair", r"Chair \uD83D\uDE00 \uD83D", CHAIR).items()
+    ]
+    lines += ["id#" + "9" * 5000 + "=x", "creator#1=Zo\\u00eb"]
+    path = write_archive(tmp_path / "c.sh3f", {"PluginFurnitureCatalog.properties": "\n".join(lines)})
+    (only,) = catalogue.read_catalogue(path).entries
+    assert (only.name, only.creator) == ("Chair \U0001f600 \ufffd", "Zoë")
+    only.name.encode()
+
+
+def test_a_dangling_archive_is_told(tmp_path: Path) -> None:
+    (tmp_path / "x.sh3f").symlink_to("nowhere")
+    with pytest.raises(UserError, match=r"x\.sh3f|nowhere"):
+        furniture.SweetHomeFurniture(str(tmp_path), Cache(tmp_path / "cache")).fingerprint()
+
+
 # labels
 
 
@@ -248,6 +375,16 @@ def test_missing_archives_are_told(tmp_path: Path) -> None:
         ("Pool table", (2.5, 1.4, 0.8), None),
         ("Desk lamp", (0.2, 0.2, 0.4), None),
         ("Wheelchair", SIZE, None),
+        ("Light oak chair", SIZE, "chair"),
+        ("Scopia#desk_lamp2", (0.2, 0.2, 0.4), None),
+        ("Adjustable desk", (1.4, 0.7, 0.75), "desk"),
+        ("Adjustable office chair", SIZE, "office_chair"),
+        ("Dressing table", (0.9, 0.5, 1.3), "desk"),
+        ("Outdoor chair", SIZE, "chair"),
+        ("Cot with adjustable height", (0.7, 1.2, 1.1), "cot"),
+        ("Deck chair", (0.7, 1.3, 0.8), "lounger"),
+        ("Armchair ottoman", (0.8, 1.5, 1.0), "armchair"),
+        ("Round ottoman", (0.6, 0.6, 0.4), "stool"),
     ],
 )
 def test_labels_of_ids_and_english_names(text: str, size: labels.Size, label: str | None) -> None:
@@ -255,18 +392,35 @@ def test_labels_of_ids_and_english_names(text: str, size: labels.Size, label: st
 
 
 @pytest.mark.parametrize(
-    ("name", "label"),
+    ("name", "size", "label"),
     [
-        ("Stuhl rot", "chair"),
-        ("Fauteuil", "armchair"),
-        ("Lit", "single_bed"),
-        ("椅子", "chair"),
-        ("Trona", "chair"),
-        ("Xyz", None),
+        ("Stuhl rot", SIZE, "chair"),
+        ("Fauteuil", SIZE, "armchair"),
+        ("Lit", SIZE, "single_bed"),
+        ("椅子", SIZE, "chair"),
+        ("Trona", SIZE, "chair"),
+        ("Xyz", SIZE, None),
+        ("Küchenstuhl", SIZE, "chair"),
+        ("Bürostuhl", SIZE, "office_chair"),
+        ("Rollstuhl", SIZE, None),
+        ("Liegestuhl", (0.7, 1.6, 0.9), "lounger"),
+        ("Chaise longue", (0.7, 1.8, 0.8), "lounger"),
+        ("Chaise", SIZE, "chair"),
+        ("Esstisch", (1.6, 0.9, 0.75), "dining_table"),
+        ("Eettafel", (1.6, 0.9, 0.75), "dining_table"),
+        ("Ruokapöytä", (1.6, 0.9, 0.75), "dining_table"),
+        ("Tischdecke", (1.6, 0.9, 0.01), None),
+        ("Schreibtisch", (1.6, 0.8, 0.75), "desk"),
+        ("Doppelbett", (1.6, 2.0, 0.9), "double_bed"),
+        ("Tweepersoonsbed", (1.6, 2.0, 0.9), "double_bed"),
+        ("Nachttisch", (0.4, 0.4, 0.5), "nightstand"),
+        ("Table de chevet", (0.4, 0.4, 0.5), "nightstand"),
+        ("床头柜", (0.4, 0.4, 0.5), "nightstand"),
+        ("床", (1.6, 2.0, 0.9), "double_bed"),
     ],
 )
-def test_labels_of_names_in_any_language(name: str, label: str | None) -> None:
-    assert labels.label_of_name(name, {"trona": "chair"}, SIZE) == label
+def test_labels_of_names_in_any_language(name: str, size: labels.Size, label: str | None) -> None:
+    assert labels.label_of_name(name, {"trona": "chair"}, size) == label
 
 
 # homes
@@ -291,6 +445,13 @@ ENTITIES = "<!DOCTYPE home [<!ENTITY a 'aaaa'><!ENTITY b SYSTEM 'file:///etc/pas
         ({"Home.xml": home_xml(furnished().replace('width="45"', 'width="nan"'))}, "has width='nan'"),
         ({"Home.xml": home_xml(furnished().replace('xStart="0"', "", 1))}, "<wall> has no xStart"),
         ({"Home.xml": home_xml(furnished().replace('y="250"', 'y="1e9"', 1))}, "has y='1e9'"),
+        ({"Home.xml": "<?xml version='1.0' encoding='nonsense'?><home/>"}, "is damaged: unknown encoding"),
+        (
+            {"Home.xml": "<?xml version='1.0' encoding='shift_jis'?><home/>"},
+            "is damaged: multi-byte encodings",
+        ),
+        ({"Home.xml": "<?xml version='1.0' encoding='utf-7'?><home/>"}, "is damaged: "),
+        ({"Home.xml": home_xml("<point/>" * (home_file.MAX_ITEMS + 1))}, "it has 20001 levels, walls, rooms"),
     ],
 )
 def test_a_broken_home_gets_its_own_error(tmp_path: Path, members: dict[str, str | bytes], told: str) -> None:
@@ -322,6 +483,125 @@ def test_pieces_become_what_they_are(tmp_path: Path) -> None:
     assert points[points[:, 2] > 0.6][:, 1].min() > points[:, 1].max() - 0.1
 
 
+def homes_of(folder: Path, inside: str, **members: str) -> home_source.SweetHomes:
+    """A folder with one home."""
+    write_catalogue(folder / "assets" / "Test.sh3f")
+    write_home(folder / "homes" / "flat.sh3d", inside, members)
+    made = source(
+        folder,
+        "data/scenes=sweethome3d",
+        f"data.scenes.folder={folder}/homes",
+        f"data.scenes.catalogues={folder}/assets",
+    )
+    assert isinstance(made, home_source.SweetHomes)
+    return made
+
+
+BENCH: tuple[Box, ...] = (
+    (0, 0, 0, 40, 40, 90),
+    (0, 40, 0, 40, 100, 5),  # a back
+    (0, 40, 5, 5, 70, 90),  # an arm at the left
+)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "height", "corners"),
+    [
+        ({}, 70, {(-20, -40), (-15, -40), (-20, 45), (-15, 45)}),
+        ({"modelMirrored": "true"}, 70, {(20, -40), (15, -40), (20, 45), (15, 45)}),
+        (  # on its back: what was the front is on top
+            {"pitch": "1.5707963267948966"},
+            90,
+            {(-20, 50), (20, 50), (-20, 10), (20, 10), (-15, 10), (-20, -20), (-15, -20)},
+        ),
+        (  # on its right: what was the left is on top
+            {"roll": "1.5707963267948966"},
+            40,
+            {
+                (-50, -45),
+                (-50, 45),
+                (-10, -45),
+                (-10, 45),
+                (50, -45),
+                (50, -40),
+                (-10, -40),
+                (20, -40),
+                (20, 45),
+            },
+        ),
+    ],
+)
+def test_a_piece_stands_where_the_plan_has_it(
+    tmp_path: Path, attributes: dict[str, str], height: float, corners: set[tuple[float, float]]
+) -> None:
+    """Corners at a height above its foot, from its middle to the right and to the front, by hand.
+
+    Sweet Home 3D turns them clockwise on the plan, whose y points down.
+    """
+    bench = piece(
+        "", "Bench", 200, 150, (40, 90, 100), model="b.obj", angle="0.5", elevation="30", **attributes
+    )
+    homes = homes_of(tmp_path, walls(0, 0, 500, 400) + bench, **{"b.obj": obj(BENCH), "model.mtl": MATERIALS})
+    mesh = homes.load("flat").mesh
+    points = mesh.vertices[np.unique(mesh.faces[mesh.face_instance == 1])]
+    found = {
+        (round(float(x), 3), round(float(y), 3)) for x, y, z in points if abs(z - 0.3 - height / 100) < 1e-5
+    }
+    cos, sin = np.cos(0.5), np.sin(0.5)
+    on_plan = [(200 + x * cos - y * sin, 150 + x * sin + y * cos) for x, y in corners]
+    assert found == {(round(float(x) / 100, 3), round(-float(y) / 100, 3)) for x, y in on_plan}
+    assert points[:, 2].min() == pytest.approx(0.3)
+
+
+def test_a_model_is_read_once_and_too_many_triangles_become_boxes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chairs = [piece("", "Chair", 100 * x, 100, (45, 45, 90 + x), model="0/model.obj") for x in (1, 2, 3)]
+    homes = homes_of(tmp_path, walls(0, 0, 500, 400) + "".join(chairs))
+    read: list[str] = []
+    reader = home_source.read_model
+    monkeypatch.setattr(home_source, "read_model", lambda *of: read.append(of[1]) or reader(*of))
+    assert [one.drawn for one in homes.became("flat")] == ["its model"] * 3
+    assert read == ["0/model.obj"]
+    monkeypatch.setattr(home_source, "MAX_TRIANGLES", 100)  # a chair has 72
+    assert [one.drawn for one in homes.became("flat")][1:] == [
+        "its model",
+        "a box: the pieces before it have more than 100 triangles",
+    ]
+
+
+def test_more_walls_and_openings_than_a_home_has_are_refused(tmp_path: Path) -> None:
+    door = '<doorOrWindow name="Door" x="{}" y="0" width="0.1" depth="10" height="{}"/>'
+    doors = "".join(door.format(number, 1 + number / 10) for number in range(1, 300))
+    chair = piece("", "Chair", 100, 100, (45, 45, 90))
+    for copies, told in (
+        (1, "299 doors and windows take more than 50000 boxes"),
+        (1000, "got 4000 walls and 299 doors"),
+    ):
+        inside = walls(0, 0, 500, 400) * copies + chair + doors
+        (level,) = home_file.read_home(write_home(tmp_path / "h.sh3d", inside))
+        with pytest.raises(UserError, match=told):
+            build_shell(level)
+
+
+def test_homes_name_the_authors_of_their_models(tmp_path: Path) -> None:
+    """By the catalogue's id, or as the file has it; the catalogue's content counts for caches."""
+    own = piece("", "Tisch", 300, 200, (90, 90, 75), model="t.obj", creator="Ann", license="CC0")
+    homes = homes_of(tmp_path, furnished() + own)
+    assert homes.credits() == [
+        ("train", "chair", "Test#chair1", "Somebody", "CC BY 3.0", "Test.sh3f"),
+        ("train", "dining_table", "t.obj", "Ann", "CC0", "flat.sh3d"),
+    ]
+    before = homes.fingerprint("flat")
+    assert homes.fingerprint("flat") == before
+    archive = tmp_path / "assets" / "Test.sh3f"
+    archive.write_bytes(archive.read_bytes() + b" ")
+    os.utime(archive, (0, 0))
+    assert homes.fingerprint("flat") != before
+    (tmp_path / "homes" / "flat.sh3d").write_text("broken")
+    assert homes.credits() == []
+
+
 def test_a_door_is_open_and_a_window_is_closed(tmp_path: Path) -> None:
     write_home(tmp_path / "homes" / "flat.sh3d")
     homes = source(tmp_path, "data/scenes=sweethome3d", f"data.scenes.folder={tmp_path}/homes")
@@ -338,15 +618,17 @@ def test_a_door_is_open_and_a_window_is_closed(tmp_path: Path) -> None:
     assert in_window.any()
 
 
+LEVELS = '<level id="L0" name="Ground" elevation="0" height="250"/>'
+LEVELS += '<level id="L1" name="First" elevation="262" height="250"/>'
+TWO_LEVELS = LEVELS + furnished("L0") + furnished("L1")
+
+
 def test_each_furnished_level_is_a_scene(tmp_path: Path) -> None:
-    levels = '<level id="L0" name="Ground" elevation="0" height="250"/>'
-    levels += '<level id="L1" name="First" elevation="262" height="250"/><level id="L2" name="Attic" elevation="524"/>'
-    write_home(
-        tmp_path / "homes" / "house.sh3d",
-        levels + furnished("L0") + furnished("L1") + walls(0, 0, 9, 9, "L2"),
-    )
+    attic = '<level id="L2" name="Attic" elevation="524"/>' + walls(0, 0, 9, 9, "L2")
+    write_home(tmp_path / "homes" / "house.sh3d", TWO_LEVELS + attic)
+    write_home(tmp_path / "homes" / "house_7.sh3d")  # no level of the other is called so
     homes = source(tmp_path, "data/scenes=sweethome3d", f"data.scenes.folder={tmp_path}/homes")
-    assert homes.scenes("train") == ["house_0", "house_1"]
+    assert sorted(homes.scenes("train") + homes.scenes("test")) == ["house_0", "house_1", "house_7"]
     upper = homes.load("house_1")
     assert (upper.floor_height, upper.ceiling_height) == pytest.approx((2.62, 5.12))
     assert upper.mesh.vertices[:, 2].min() == pytest.approx(2.62, abs=1e-5)
@@ -359,6 +641,23 @@ def test_groups_mirrored_models_and_hidden_pieces(tmp_path: Path) -> None:
     path = write_home(tmp_path / "h.sh3d", walls(0, 0, 500, 400) + group)
     (level,) = home_file.read_home(path)
     assert [(one.name, one.mirrored) for one in level.furniture] == [("Chair", True)]
+
+
+def test_groups_may_be_nested_deeply(tmp_path: Path) -> None:
+    deep = "<furnitureGroup>" * 3000 + piece("", "Chair", 100, 100, (45, 45, 90)) + "</furnitureGroup>" * 3000
+    (level,) = home_file.read_home(write_home(tmp_path / "h.sh3d", walls(0, 0, 500, 400) + deep))
+    assert [one.name for one in level.furniture] == ["Chair"]
+
+
+def test_what_names_no_level_stands_on_the_ground(tmp_path: Path) -> None:
+    levels = '<level id="C" name="Cellar" elevation="-250"/><level id="G" name="Ground" elevation="0"/>'
+    inside = levels + walls(0, 0, 500, 400) + piece("", "Chair", 100, 100, (45, 45, 90), level="gone")
+    group = f'<furnitureGroup level="C">{piece("", "Table", 100, 100, (90, 90, 70))}</furnitureGroup>'
+    cellar, ground = home_file.read_home(
+        write_home(tmp_path / "h.sh3d", inside + walls(0, 0, 500, 400, "C") + group)
+    )
+    assert (len(ground.walls), len(ground.rooms), [one.name for one in ground.pieces]) == (4, 1, ["Chair"])
+    assert [one.name for one in cellar.pieces] == ["Table"]
 
 
 def test_an_arc_bends_away_from_its_chord() -> None:
@@ -376,6 +675,17 @@ def test_an_arc_bends_away_from_its_chord() -> None:
         (lambda folder: folder.mkdir(), "found no .sh3d file in"),
         (lambda folder: write_home(folder / "a.sh3d"), "split val: has no homes"),
         (lambda folder: [write_home(folder / d / "a.sh3d") for d in ("train", "val")], "several files"),
+        (
+            lambda folder: [
+                write_home(folder / "train/a.sh3d", TWO_LEVELS),
+                write_home(folder / "val/a_0.sh3d"),
+            ],
+            "a level of .*train/a.sh3d and .*val/a_0.sh3d are both the scene 'a_0'",
+        ),
+        (
+            lambda folder: [(folder / "val").mkdir(parents=True), (folder / "val/x.sh3d").symlink_to("gone")],
+            "x.sh3d: there is no such file",
+        ),
     ],
 )
 def test_a_wrong_folder_is_told(tmp_path: Path, make: object, told: str) -> None:

@@ -37,9 +37,12 @@ class FurniturePackage:
             UserError: if that fails, with how to get them elsewhere.
         """
         try:
-            return _told(find_archives())
+            archives = find_archives()
         except UserError:
-            pass
+            archives = self._fetched()
+        return _told(archives)
+
+    def _fetched(self) -> tuple[Path, ...]:
         target = assets_folder() / "sweethome3d"
         for tool in ("apt-get", "dpkg"):
             if shutil.which(tool) is None:
@@ -53,7 +56,7 @@ class FurniturePackage:
             _run(["dpkg", "-x", str(packages[-1]), str(unpacked)], scratch)
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copytree(unpacked, target, dirs_exist_ok=True)
-        return _told(find_archives(str(target)))
+        return find_archives(str(target))
 
     def listing(self, folder: Path | None) -> list[str]:
         """Every entry that is furniture of a known label: its split, or why it is left out; others are counted.
@@ -92,15 +95,27 @@ class FurniturePackage:
 
 
 def examine() -> Iterator[Finding]:
-    """Whether the furniture is there, for the doctor."""
+    """Whether the furniture is there and can be read, for the doctor."""
     try:
-        yield Finding("furniture", True, _told(find_archives()))
+        archives = find_archives()
     except UserError as error:
         yield Finding("furniture", None, f"{error} (only data/furniture=sweethome3d needs it)")
+        return
+    try:
+        yield Finding("furniture", True, _told(archives))
+    except UserError as error:
+        yield Finding("furniture", False, f"{error}; remove it")
 
 
 def _told(archives: tuple[Path, ...]) -> str:
-    return f"{len(archives)} furniture archives of Sweet Home 3D in {archives[0].parent}"
+    """How much furniture there is.
+
+    Raises:
+        UserError: if an archive is none, or holds no furniture.
+    """
+    count = sum(len(read_catalogue(path).entries) for path in archives)
+    where = archives[0].parent
+    return f"{len(archives)} furniture archives of Sweet Home 3D with {count} pieces in {where}"
 
 
 def _run(command: list[str], folder: str) -> None:

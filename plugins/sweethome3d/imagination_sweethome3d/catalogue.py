@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,11 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from imagination.errors import UserError
-from imagination_sweethome3d.archives import Archive, opened
+from imagination_sweethome3d.archives import MAX_TEXT, Archive, opened
 
 PROPERTIES = "PluginFurnitureCatalog.properties"
-LINE = re.compile(r"\s*(\w+)#(\d+)\s*[=:]\s*(.*)")
-ESCAPE = re.compile(r"\\u([0-9a-fA-F]{4})")
+LINE = re.compile(r"\s*(\w+)#(\d{1,9})\s*[=:]\s*(.*)")
+ESCAPES = re.compile(r"(?:\\u[0-9a-fA-F]{4})+")
+"""A run of characters beyond Latin-1: those beyond 16 bits are written as two that belong together."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def read_catalogue(path: Path) -> Catalogue:
     Raises:
         UserError: if it is no archive of furniture.
     """
-    return _read(path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0)
+    return _read(path.resolve(), _time(path))
 
 
 @lru_cache(maxsize=32)
@@ -75,7 +76,7 @@ def _read(path: Path, _time: int) -> Catalogue:
     with opened(path) as archive:
         if PROPERTIES not in archive:
             raise UserError(f"{path}: has no {PROPERTIES}, expected a furniture archive (.sh3f)")
-        rows = _rows(archive.read(PROPERTIES))
+        rows = _rows(archive.lines(PROPERTIES, MAX_TEXT))
         licence = _licence(archive)
     entries, problems = [], []
     for number, row in rows.items():
@@ -91,35 +92,55 @@ def _read(path: Path, _time: int) -> Catalogue:
 def names_in_all_languages(path: Path) -> dict[str, set[str]]:
     """For each entry's id its names in every language that the archive speaks, in lower case."""
     with opened(path) as archive:
-        ids = {number: row["id"] for number, row in _rows(archive.read(PROPERTIES)).items() if "id" in row}
+        ids = {
+            number: row["id"]
+            for number, row in _rows(archive.lines(PROPERTIES, MAX_TEXT)).items()
+            if "id" in row
+        }
         names: dict[str, set[str]] = {}
         for member in archive:
             if member.startswith("PluginFurnitureCatalog") and member.endswith(".properties"):
-                for number, row in _rows(archive.read(member)).items():
+                for number, row in _rows(archive.lines(member, MAX_TEXT)).items():
                     if number in ids and "name" in row:
                         names.setdefault(ids[number], set()).add(row["name"].casefold())
     return names
 
 
 def fingerprint(path: Path) -> str:
-    """Hash of an archive's content."""
-    return _hash(path.resolve(), path.stat().st_mtime_ns)
+    """Hash of an archive's content.
+
+    Raises:
+        UserError: if it cannot be read.
+    """
+    return _hash(path.resolve(), _time(path))
+
+
+def _time(path: Path) -> int:
+    """When a file was changed last; 0 if it is none, which its reader then tells."""
+    return path.stat().st_mtime_ns if path.is_file() else 0
 
 
 @lru_cache(maxsize=32)
 def _hash(path: Path, _time: int) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _rows(content: bytes) -> dict[int, dict[str, str]]:
+def _rows(lines: Iterable[str]) -> dict[int, dict[str, str]]:
     """Keys and values of each numbered entry of a Java properties file."""
     rows: dict[int, dict[str, str]] = {}
-    for line in content.decode("latin-1").splitlines():
+    for line in lines:
         if match := LINE.match(line):
-            text = ESCAPE.sub(lambda code: chr(int(code[1], 16)), match[3]).strip()
+            text = ESCAPES.sub(_unescaped, match[3]).strip()
             rows.setdefault(int(match[2]), {})[match[1]] = text
     return rows
+
+
+def _unescaped(run: re.Match[str]) -> str:
+    return bytes.fromhex(run[0].replace("\\u", "")).decode("utf-16-be", "replace")
 
 
 def _entry(row: dict[str, str], licence: str, archive: str) -> Entry:
@@ -147,7 +168,7 @@ def _entry(row: dict[str, str], licence: str, archive: str) -> Entry:
 
 def _licence(archive: Archive) -> str:
     """The licence that an archive's LICENSE.TXT names, for lists of credits."""
-    text = "".join(archive.read(name).decode("latin-1") for name in _licence_files(archive)).lower()
+    text = "".join(archive.read(name, MAX_TEXT).decode("latin-1") for name in _licence_files(archive)).lower()
     united_states = "/by/3.0/us" in text
     if "creative commons zero" in text:
         return "CC0 1.0"

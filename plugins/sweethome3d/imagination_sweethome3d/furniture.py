@@ -1,6 +1,7 @@
 """Furniture of procedural homes from Sweet Home 3D's catalogues, split by model."""
 
 import hashlib
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,8 +19,8 @@ from imagination.scenes.procedural.stock import STYLED, ProceduralFurniture
 from imagination.scenes.scene import SPLITS, Credit, Material, Split
 from imagination_sweethome3d.archives import opened
 from imagination_sweethome3d.catalogue import Catalogue, Entry, fingerprint, read_catalogue
-from imagination_sweethome3d.labels import label_of
-from imagination_sweethome3d.models import SIZES, UnfitError, check_size, load_model
+from imagination_sweethome3d.labels import label_of, only_sounds
+from imagination_sweethome3d.models import SIZES, UnfitError, check_size, fitted, read_model
 from imagination_sweethome3d.seats import corners_of, seats_and_surfaces
 
 INSTALLED = Path("/usr/share/sweethome3d/furniture")
@@ -114,7 +115,7 @@ def assets_folder() -> Path:
 
 
 def candidates(archives: Sequence[Path], cache: Cache) -> list[Candidate]:
-    """Every entry of the archives that is furniture of a known label, with the reason if it is left out."""
+    """Every entry of the archives that is furniture, or is called like some, with the reason if it is left out."""
     found = []
     for path in archives:
         catalogue: Catalogue = read_catalogue(path)
@@ -122,6 +123,10 @@ def candidates(archives: Sequence[Path], cache: Cache) -> list[Candidate]:
             label = entry_label(entry)
             if label in SIZES:
                 found.append(_examined(path, label, entry, cache))
+            elif label is not None:
+                found.append(Candidate(entry, label, f"our floor plans have no {label}"))
+            elif only_sounds([entry.name, entry.id]):
+                found.append(Candidate(entry, "?", "it is only called like furniture"))
     return found
 
 
@@ -135,7 +140,7 @@ def entry_label(entry: Entry) -> str | None:
 def _examined(path: Path, label: str, entry: Entry, cache: Cache) -> Candidate:
     try:
         check_size(label, entry.size)
-        return Candidate(entry, label, "", tuple(_arrays(path, label, entry, cache)["notes"].tolist()))
+        return Candidate(entry, label, "", _told(_arrays(path, label, entry, cache))[1])
     except UnfitError as error:
         return Candidate(entry, label, str(error))
 
@@ -216,17 +221,27 @@ def _arrays(path: Path, label: str, entry: Entry, cache: Cache) -> dict[str, np.
     """
     key = {"archive": fingerprint(path), "entry": entry.id, "label": label, "code": code_version()}
     arrays = cache.get_or_build("models", key, lambda: _made(path, label, entry))
-    if reason := "".join(arrays["reason"].tolist()):
+    if reason := _told(arrays)[0]:
         raise UnfitError(reason)
     return arrays
+
+
+def _telling(reason: str, notes: Sequence[str]) -> np.ndarray:
+    """Text as an array that the cache keeps: why a model is left out (empty: it is not), and what it lacks."""
+    return np.frombuffer(json.dumps([reason, *notes]).encode(), np.uint8)
+
+
+def _told(arrays: Mapping[str, np.ndarray]) -> tuple[str, tuple[str, ...]]:
+    reason, *notes = json.loads(arrays["told"].tobytes())
+    return reason, tuple(notes)
 
 
 def _made(path: Path, label: str, entry: Entry) -> dict[str, np.ndarray]:
     try:
         with opened(path) as archive:
-            model = load_model(archive, entry.model, entry.size, entry.turn)
+            model = fitted(read_model(archive, entry.model), entry.size, entry.turn)
     except UnfitError as error:
-        return {"reason": np.array([str(error)])}
+        return {"told": _telling(str(error), ())}
     seats, surfaces = seats_and_surfaces(label, corners_of(model.vertices, model.faces))
     textures = {
         f"texture_{row}": finish.material.texture
@@ -234,8 +249,7 @@ def _made(path: Path, label: str, entry: Entry) -> dict[str, np.ndarray]:
         if finish.material.texture is not None
     }
     return {
-        "reason": np.array([""]),
-        "notes": np.array(model.notes, dtype=np.str_),
+        "told": _telling("", model.notes),
         "vertices": model.vertices,
         "faces": model.faces,
         "uv": model.uv,

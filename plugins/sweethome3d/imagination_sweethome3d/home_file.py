@@ -12,15 +12,17 @@ from xml.parsers import expat
 import numpy as np
 
 from imagination.errors import UserError
-from imagination_sweethome3d.archives import opened
+from imagination_sweethome3d.archives import MAX_TEXT, opened
 
 HOME = "Home.xml"
 FURNITURE = ("pieceOfFurniture", "light", "shelfUnit", "doorOrWindow")
+COUNTED = frozenset(("level", "wall", "room", "point", "furnitureGroup", *FURNITURE))
 PLAIN = 0.78, 0.76, 0.72
 CENTIMETRE = 0.01
 LONGEST = 1000.0
 """Farthest from the origin, and largest, that anything may be, metres."""
-MAX_PIECES = 20_000
+MAX_ITEMS = 20_000
+"""Most levels, walls, rooms, points of rooms and pieces of furniture of a home."""
 
 Colour = tuple[float, float, float]
 
@@ -55,10 +57,12 @@ class HomePiece:
         centre: x, y of its middle; `elevation` of its foot above the level's floor, metres.
         yaw: of its x axis, radians.
         size: width, depth, height, metres.
+        pitch, roll: by which it is tipped about its width, or about its depth, radians; one of them counts.
         mirrored: whether its model is mirrored left to right.
         turn: rotation of its model, nine numbers by rows.
         opening: whether it belongs into a wall.
         colour: that replaces the model's, if one was chosen.
+        creator, licence: of its model, empty if the file does not name them.
     """
 
     catalogue_id: str
@@ -68,10 +72,19 @@ class HomePiece:
     elevation: float
     yaw: float
     size: tuple[float, float, float]
+    pitch: float
+    roll: float
     mirrored: bool
     turn: tuple[float, ...]
     opening: bool
     colour: Colour | None
+    creator: str
+    licence: str
+
+    @property
+    def key(self) -> str:
+        """What tells its model from others."""
+        return self.catalogue_id or self.model or self.name
 
 
 @dataclass(frozen=True)
@@ -108,11 +121,11 @@ def read_home(path: Path) -> tuple[Level, ...]:
                     "and save it again"
                 )
             raise UserError(f"{path}: has no {HOME}, expected a home of Sweet Home 3D (.sh3d)")
-        root = parse_xml(archive.read(HOME), f"{path}: {HOME}")
+        root = parse_xml(archive.read(HOME, MAX_TEXT), f"{path}: {HOME}")
     if root.tag != "home":
         raise UserError(f"{path}: {HOME} holds <{root.tag}>, expected <home>")
     try:
-        levels = _levels(root, path)
+        levels = _levels(root)
     except (KeyError, ValueError) as error:
         raise UserError(f"{path}: {HOME} is broken: {error}") from error
     usable = tuple(level for level in levels if level.furniture and (level.rooms or level.walls))
@@ -142,52 +155,74 @@ def parse_xml(content: bytes, where: str) -> Element:
     try:
         parser.Parse(content, True)
         return builder.close()
-    except (expat.ExpatError, AssertionError) as error:
+    except UserError:
+        raise
+    except (
+        expat.ExpatError,
+        AssertionError,
+        LookupError,
+        ValueError,
+    ) as error:  # the last two: of its encoding
         raise UserError(f"{where} is damaged: {error}") from error
 
 
-def _levels(root: Element, path: Path) -> list[Level]:
-    known = {node.attrib["id"]: node for node in root.iter("level")}
-    wall_height = _length(root, "wallHeight", 250.0)
-    levels = []
-    for key, node in (known or {"": None}).items():
-        walls = [
-            wall
-            for child in root.findall("wall")
-            if child.get("level", "") == key
-            for wall in _walls(child, wall_height)
-        ]
-        rooms = [_room(child) for child in root.findall("room") if child.get("level", "") == key]
-        pieces = [_piece(child) for child in _furniture(root) if child.get("level", "") == key]
-        if len(pieces) > MAX_PIECES:
-            raise ValueError(f"it has {len(pieces)} pieces of furniture, expected at most {MAX_PIECES}")
-        heights = [wall.height for wall in walls]
-        levels.append(
-            Level(
-                "" if node is None else node.get("name", key),
-                0.0 if node is None else _length(node, "elevation"),
-                max(heights, default=wall_height if node is None else _length(node, "height", 250.0)),
-                tuple(walls),
-                tuple(room for room in rooms if len(room.outline) > 2),
-                tuple(pieces),
-            )
+def _levels(root: Element) -> list[Level]:
+    count = sum(node.tag in COUNTED for node in root.iter())
+    if count > MAX_ITEMS:
+        raise ValueError(
+            f"it has {count} levels, walls, rooms, points and pieces of furniture, expected at most {MAX_ITEMS}"
         )
-    return levels
+    known: dict[str, Element | None] = {node.attrib["id"]: node for node in root.findall("level")} or {
+        "": None
+    }
+    elevations = {key: 0.0 if node is None else _length(node, "elevation") for key, node in known.items()}
+    ground = min(known, key=lambda key: abs(elevations[key]))
+    wall_height = _length(root, "wallHeight", 250.0)
+    walls: dict[str, list[Wall]] = {key: [] for key in known}
+    rooms: dict[str, list[Room]] = {key: [] for key in known}
+    pieces: dict[str, list[HomePiece]] = {key: [] for key in known}
+    for child, level in _items(root):
+        key = level if level in known else ground  # what names no level stands on the ground
+        if child.tag == "wall":
+            walls[key] += _walls(child, wall_height)
+        elif child.tag == "room":
+            rooms[key] += [room for room in [_room(child)] if len(room.outline) > 2]
+        else:
+            pieces[key].append(_piece(child))
+    return [
+        Level(
+            "" if node is None else node.get("name", key),
+            elevations[key],
+            max(
+                (wall.height for wall in walls[key]),
+                default=wall_height if node is None else _length(node, "height", 250.0),
+            ),
+            tuple(walls[key]),
+            tuple(rooms[key]),
+            tuple(pieces[key]),
+        )
+        for key, node in known.items()
+    ]
 
 
-def _furniture(node: Element) -> Iterator[Element]:
-    """Visible furniture; that of a group in the group's place in the list (its pieces carry their own positions)."""
-    for child in node:
-        if child.get("visible", "true") == "false":
+def _items(root: Element) -> Iterator[tuple[Element, str]]:
+    """Walls, rooms and visible furniture with their levels.
+
+    The pieces of a group, which carry their own positions, come in the group's place in the list and, if they name no
+    level, are on the group's.
+    """
+    waiting = [(child, "") for child in reversed(root)]
+    while waiting:
+        node, outer = waiting.pop()
+        level = node.get("level", outer)
+        if node.tag in ("wall", "room"):
+            yield node, level
+        elif node.get("visible", "true") == "false":
             continue
-        if child.tag == "furnitureGroup":
-            level = child.get("level")
-            for inner in _furniture(child):
-                if level is not None and inner.get("level") is None:
-                    inner.set("level", level)
-                yield inner
-        elif child.tag in FURNITURE:
-            yield child
+        elif node.tag == "furnitureGroup":
+            waiting += [(child, level) for child in reversed(node)]
+        elif node.tag in FURNITURE:
+            yield node, level
 
 
 def _walls(node: Element, wall_height: float) -> list[Wall]:
@@ -252,10 +287,14 @@ def _piece(node: Element) -> HomePiece:
         _length(node, "elevation"),
         -_number(node, "angle", 0.0),
         (width, depth, height),
+        _number(node, "pitch", 0.0),
+        _number(node, "roll", 0.0),
         node.get("modelMirrored") == "true",
         turn,
         node.tag == "doorOrWindow",
         _colour(node.get("color")),
+        node.get("creator", ""),
+        node.get("license", ""),
     )
 
 

@@ -2,11 +2,14 @@
 
 import hashlib
 import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from imagination.categories import Category, CategoryTable
 from imagination.errors import UserError, check_choice
@@ -16,13 +19,14 @@ from imagination.scenes.procedural.palette import Finish
 from imagination.scenes.procedural.pieces import Assembly, Piece, Placed
 from imagination.scenes.procedural.shapes import box
 from imagination.scenes.procedural.source import SOURCE
-from imagination.scenes.scene import SPLITS, Lighting, Material, Scene, Split
+from imagination.scenes.scene import SPLITS, Credit, Lighting, Material, Scene, Split
 from imagination_sweethome3d.archives import Archive, opened
-from imagination_sweethome3d.catalogue import Entry, names_in_all_languages, read_catalogue
+from imagination_sweethome3d.catalogue import Entry, fingerprint, names_in_all_languages, read_catalogue
 from imagination_sweethome3d.furniture import code_version, entry_label, find_archives
 from imagination_sweethome3d.home_file import HomePiece, Level, read_home
 from imagination_sweethome3d.labels import label_of, label_of_name
-from imagination_sweethome3d.models import UnfitError, load_model
+from imagination_sweethome3d.models import Model, UnfitError, fitted, read_model
+from imagination_sweethome3d.obj import ObjMesh
 from imagination_sweethome3d.shell import build_shell
 
 log = logging.getLogger(__name__)
@@ -30,6 +34,8 @@ log = logging.getLogger(__name__)
 NAME = "sweethome3d"
 SHARES = {"test": 0.25, "val": 0.15}
 """Of the files of a folder without folders for its splits."""
+MAX_TRIANGLES = 3_000_000
+"""Of the models of a level; pieces that come after are drawn as boxes."""
 LIGHT = Lighting(
     (0.5, 0.5, 0.5),
     np.array([[0.48, 0.36, 0.8], [-0.6, 0.0, 0.8]], np.float32),
@@ -94,15 +100,11 @@ class SweetHomes:
             UserError: if there is no such scene, or its file is broken.
         """
         path, level = self._level(scene)
-        parts, became = [Placed(build_shell(level), z=level.elevation)], []
-        with opened(path) as archive:
-            for piece in level.furniture:
-                label, told_by = self._label(piece)
-                made, drawn = _made(archive, piece, label)
-                became.append(Became(piece, label, told_by, drawn))
-                z = level.elevation + piece.elevation
-                # a piece's frame is turned by half a turn against the plan's: its front is at +y
-                parts.append(Placed(made, *piece.centre, piece.yaw + np.pi, z))
+        parts = [Placed(build_shell(level), z=level.elevation)]
+        for (piece, *_), made in self._built(path, level):
+            z = level.elevation + piece.elevation
+            # a piece's frame is turned by half a turn against the plan's: its front is at +y
+            parts.append(Placed(made, *piece.centre, piece.yaw + np.pi, z))
         mesh = assemble(parts)
         objects = tuple(
             object_of(number, part, self._category(part.piece.label))
@@ -115,13 +117,34 @@ class SweetHomes:
 
     def became(self, scene: str) -> list[Became]:
         """What each piece of a scene became."""
-        path, level = self._level(scene)
+        return [became for became, _ in self._built(*self._level(scene))]
+
+    def _built(self, path: Path, level: Level) -> Iterator[tuple[Became, Piece]]:
         with opened(path) as archive:
-            labels = [self._label(piece) for piece in level.furniture]
-            return [
-                Became(piece, label, told_by, _made(archive, piece, label)[1])
-                for piece, (label, told_by) in zip(level.furniture, labels, strict=True)
-            ]
+            models = _Models(archive)
+            for piece in level.furniture:
+                label, told_by = self._label(piece)
+                made, drawn = _made(models, piece, label)
+                yield Became(piece, label, told_by, drawn), made
+
+    def credits(self) -> Sequence[Credit]:
+        """Models whose authors a catalogue or the homes themselves name; a home that cannot be read is told."""
+        entries, _ = _known(_catalogues(self._catalogues))
+        found = set()
+        for split, path in self._every():
+            try:
+                levels = _levels_of(path)
+            except UserError as error:
+                log.warning("credits: left out a home: %s", error)
+                continue
+            for piece in (piece for level in levels for piece in level.furniture):
+                label = self._label(piece)[0] or piece.name
+                if (entry := entries.get(piece.catalogue_id)) is not None:
+                    found.add(Credit(split, label, entry.id, entry.creator, entry.licence, entry.archive))
+                elif piece.creator:
+                    licence = piece.licence or "unknown"
+                    found.add(Credit(split, label, piece.key, piece.creator, licence, path.name))
+        return sorted(found)
 
     def fingerprint(self, scene: str) -> str:
         """Changes with the file, the robot, the catalogues, the categories' labels and this code."""
@@ -130,19 +153,21 @@ class SweetHomes:
             (row.name, {source: sorted(of) for source, of in row.members.items()}) for row in self._categories
         ]
         content = hashlib.sha256(path.read_bytes()).hexdigest()
-        archives = [str(path) for path in _catalogues(self._catalogues)]
+        archives = [fingerprint(path) for path in _catalogues(self._catalogues)]
         text = repr((NAME, scene, content, self._robot_radius, members, archives, code_version()))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _files(self) -> dict[Split, list[Path]]:
         return _shared_out(self._folder)
 
+    def _every(self) -> list[tuple[Split, Path]]:
+        return [(split, path) for split, paths in self._files().items() for path in paths]
+
     def _level(self, scene: str) -> tuple[Path, Level]:
-        for paths in self._files().values():
-            for path in paths:
-                if scene.startswith(path.stem) and scene in (names := _scenes_of(path)):
-                    return path, _home(path, path.stat().st_mtime_ns)[names.index(scene)]
-        known = [name for paths in self._files().values() for path in paths for name in _scenes_of(path)]
+        for _, path in self._every():
+            if scene.startswith(path.stem) and scene in (names := _scenes_of(path)):
+                return path, _levels_of(path)[names.index(scene)]
+        known = [name for _, path in self._every() for name in _scenes_of(path)]
         raise UserError(f"scene: got {scene!r}, expected one of: {', '.join(known[:50])}")
 
     def _category(self, label: str) -> str | None:
@@ -161,8 +186,12 @@ class SweetHomes:
 
 
 def _scenes_of(path: Path) -> list[str]:
-    levels = _home(path, path.stat().st_mtime_ns)
-    return [path.stem] if len(levels) == 1 else [f"{path.stem}_{number}" for number in range(len(levels))]
+    count = len(_levels_of(path))
+    return [path.stem] if count == 1 else [f"{path.stem}_{number}" for number in range(count)]
+
+
+def _levels_of(path: Path) -> tuple[Level, ...]:
+    return _home(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
 @lru_cache(maxsize=256)
@@ -175,13 +204,21 @@ def _shared_out(folder: Path) -> dict[Split, list[Path]]:
     if any((folder / split).is_dir() for split in SPLITS):
         files = {split: sorted((folder / split).rglob("*.sh3d")) for split in SPLITS}
     else:
-        every = sorted(folder.rglob("*.sh3d"), key=lambda p: hashlib.sha256(p.stem.encode()).hexdigest())
-        test = max(round(SHARES["test"] * len(every)), int(len(every) > 1))
-        val = max(round(SHARES["val"] * len(every)), int(len(every) > 2))
-        files = {"train": every[test + val :], "val": every[test : test + val], "test": every[:test]}
-    stems = [path.stem for paths in files.values() for path in paths]
-    if twice := sorted({stem for stem in stems if stems.count(stem) > 1}):
+        mixed = sorted(folder.rglob("*.sh3d"), key=lambda p: hashlib.sha256(p.stem.encode()).hexdigest())
+        test = max(round(SHARES["test"] * len(mixed)), int(len(mixed) > 1))
+        val = max(round(SHARES["val"] * len(mixed)), int(len(mixed) > 2))
+        files = {"train": mixed[test + val :], "val": mixed[test : test + val], "test": mixed[:test]}
+    every = [path for paths in files.values() for path in paths]
+    by_stem = {path.stem: path for path in every}
+    if len(by_stem) < len(every):
+        twice = sorted({path.stem for path in every if path != by_stem[path.stem]})
         raise UserError(f"homes: several files in {folder} are called {', '.join(twice)}; rename all but one")
+    for stem, path in by_stem.items():  # a level of one home may be called as another home is
+        other = by_stem.get(stem.rpartition("_")[0])
+        if other is not None and stem in _scenes_of(other) and stem in _scenes_of(path):
+            raise UserError(
+                f"homes: a level of {other} and {path} are both the scene {stem!r}; rename one of them"
+            )
     return files
 
 
@@ -207,27 +244,71 @@ def _known(archives: tuple[Path, ...]) -> tuple[dict[str, Entry], dict[str, str]
     return entries, {name: of.pop() for name, of in labels.items() if len(of) == 1 and "" not in of}
 
 
-def _made(archive: Archive, piece: HomePiece, label: str) -> tuple[Piece, str]:
+class _Models:
+    """The models of one level: each file is read once, however many pieces it is drawn for."""
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        self._meshes: dict[str, ObjMesh | str] = {}
+        self._triangles = 0
+
+    def of(self, piece: HomePiece) -> Model:
+        """A piece's model.
+
+        Raises:
+            UnfitError: if there is none that is sane, or the home has too many triangles already.
+        """
+        if piece.model not in self._archive:
+            raise UnfitError(f"the file does not hold its model {piece.model!r}")
+        if self._triangles > MAX_TRIANGLES:
+            raise UnfitError(f"the pieces before it have more than {MAX_TRIANGLES} triangles")
+        if piece.model not in self._meshes:
+            try:
+                self._meshes[piece.model] = read_model(self._archive, piece.model)
+            except UnfitError as error:
+                self._meshes[piece.model] = str(error)
+        mesh = self._meshes[piece.model]
+        if isinstance(mesh, str):
+            raise UnfitError(mesh)
+        self._triangles += len(mesh.faces)
+        return fitted(mesh, piece.size, np.array(piece.turn).reshape(3, 3))
+
+
+def _made(models: _Models, piece: HomePiece, label: str) -> tuple[Piece, str]:
     """A piece from its model, else a box of its size, and which of them with the reason."""
     name = label or piece.name or "thing"
-    key = piece.catalogue_id or piece.model or piece.name
     try:
-        if piece.model not in archive:
-            raise UnfitError(f"the file does not hold its model {piece.model!r}")
-        turn = np.array(piece.turn).reshape(3, 3)
-        model = load_model(archive, piece.model, piece.size, turn)
+        made, drawn = _modelled(models.of(piece), piece, name), "its model"
     except UnfitError as error:
-        solid = Assembly(name, key)
+        solid = Assembly(name, piece.key)
         solid.add(box(*piece.size), Finish(Material(piece.colour or (0.6, 0.58, 0.55))))
-        return solid.finished(), f"a box: {error}"
-    vertices, faces = model.vertices, model.faces
+        made, drawn = solid.finished(), f"a box: {error}"
+    if piece.pitch or piece.roll:
+        made = replace(made, vertices=_tilted(made.vertices, piece))
+    return made, drawn
+
+
+def _modelled(model: Model, piece: HomePiece, name: str) -> Piece:
+    vertices, faces, uv, finishes = model.vertices, model.faces, model.uv, model.finishes
     if piece.mirrored:
-        vertices, faces = vertices * np.array([-1, 1, 1], np.float32), faces[:, ::-1]
-    uv = model.uv[:, ::-1] if piece.mirrored else model.uv
-    finishes = model.finishes
+        vertices, faces, uv = vertices * np.array([-1, 1, 1], np.float32), faces[:, ::-1], uv[:, ::-1]
     if piece.colour is not None:
         finishes = (Finish(Material(piece.colour)),) * len(finishes)
-    return Piece(name, key, vertices, faces, uv, model.face_finish, finishes), "its model"
+    return Piece(name, piece.key, vertices, faces, uv, model.face_finish, finishes)
+
+
+def _tilted(vertices: Float[np.ndarray, "n 3"], piece: HomePiece) -> Float[np.ndarray, "n 3"]:
+    """Turned about the width by the pitch, or about the depth by the roll if there is no pitch; stood up again.
+
+    Elevation and centre are those of the tilted piece, as in Sweet Home 3D's 3D view.
+    """
+    across, angle = (1, piece.pitch) if piece.pitch else (0, piece.roll)
+    cos, sin = np.cos(angle), np.sin(angle)
+    tilted = vertices.copy()
+    tilted[:, across] = cos * vertices[:, across] - sin * vertices[:, 2]
+    tilted[:, 2] = sin * vertices[:, across] + cos * vertices[:, 2]
+    low, high = tilted.min(axis=0), tilted.max(axis=0)
+    return np.asarray(tilted - [*(low + high)[:2] / 2, low[2]])
 
 
 def listing_of_homes(folder: Path) -> list[str]:

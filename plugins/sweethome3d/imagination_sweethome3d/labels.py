@@ -1,25 +1,27 @@
 """What a piece of furniture is: from its id and model first, from its name in any language last."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 Size = tuple[float, float, float]
 """Width, depth and height, metres."""
 
 RULES: tuple[tuple[str, str], ...] = (
-    ("", r"lamp|light|fan\b|tennis|football|billiard|pool|bat$|horse|car\b|window|door|wheel ?chair|hammock|sleeping|"
-         r"changing|crib|baby|high ?chair|electric chair|deck ?chair|beach|lounge|relax|mattress|container|workbench|"
-         r"abdominal|piano|swimming|leon|\bchairman|bed ?spread|tablet|vegetable|table ?ware|table ?fan|cable|"
-         r"chair ?lift|sofa ?bed|bedding|turntable|timetable|stable|portable|adjustable"),
+    ("", r"(lamps?|lights?)( \d+)?$|^lamp|\bfan\b|tennis|football|billiard|\bpool (?!lounge)|\bbat$|horse|\bcars?\b|"
+         r"window|\bdoor|wheel ?chair|hammock|sleeping|changing|electric chair|mattress$|container|workbench|"
+         r"abdominal|piano|swimming|\bchairman|bed ?spread|table ?ware|table ?fan|chair ?lift|bedding|flower ?bed"),
+    ("lounger", r"lounger|pool ?lounge|(deck|beach|relax) ?chair|chair deck|chaise ?longue|sun ?bed"),
+    ("cot", r"baby ?(rocking )?bed|\bcrib|cradle|\bcot\b"),
+    ("high_chair", r"high ?chair"),
     ("nightstand", r"bed ?side|night ?(stand|table)"),
-    ("stool", r"stool|bar ?chair|puff?\b|pouf|ottoman$"),
+    ("stool", r"stool|bar ?chair|puff?\b|pouf|(?<!chair )ottoman$"),
     ("sofa", r"sofa|couch|divan|settee|canape"),
     ("bench", r"bench"),
     ("armchair", r"arm ?chair|easy ?chair|fauteuil|fotel|rocking chair|club ?chair"),
     ("chair", r"chair|\bclass ?seat|silla|\bstuhl"),
     ("bed", r"\bbeds?\b|bunk|mezzanine|futon|cama\b"),
-    ("desk", r"desk|biurko|bureau\b|secretary"),
-    ("table", r"tables?\b"),
+    ("desk", r"desk|biurko|bureau\b|secretary|(dressing|vanity) ?table"),
+    ("table", r"\b(coffee|tea|dining|side|end|work|kitchen|office|cafe|bar|picnic)?tables?\b"),
     ("wardrobe", r"wardrobe|closet|armoire"),
     ("dresser", r"dresser|chest of drawers|commode|drawers"),
     ("shelf", r"book ?(case|shel)|shel(f|ves|ving)\b"),
@@ -38,32 +40,52 @@ LAMPS = {"floor_lamp": r"floor (up)?(lamp|light)"}
 """Kinds that the first rule would leave out."""
 
 WORDS: Mapping[str, Sequence[str]] = {
+    "": (
+        "*rollstuhl", "rolstoel", "rullstol", "pyörätuoli", "fauteuil roulant", "silla de ruedas", "sedia a rotelle",
+        "轮椅", "車椅子", "*wickeltisch", "table à langer", "*billardtisch", "*tischtennis",
+    ),
+    "lounger": (
+        "chaise longue", "transat", "*liegestuhl", "*sonnenliege", "*ligstoel", "*ligbed", "sdraio", "tumbona",
+        "aurinkotuoli", "*solsäng", "*solseng", "шезлонг", "躺椅",
+    ),
+    "high_chair": ("chaise haute", "*hochstuhl", "seggiolone", "trona", "syöttötuoli"),
+    "nightstand": (
+        "chevet", "table de nuit", "*nachttisch", "*nachtkästchen", "*nachtschrank", "*nachtkastje", "*nachttafel",
+        "comodino", "mesita de noche", "mesilla", "mesa de noche", "mesa de cabeceira", "criado-mudo", "*sängbord",
+        "*nattduksbord", "*natbord", "*nattbord", "stolik nocny", "szafka nocna", "noční stolek", "*yöpöytä",
+        "прикроватный столик", "прикроватная тумбочка", "éjjeliszekrény", "床头柜", "床頭櫃", "ナイトテーブル",
+        "협탁", "κομοδίνο", "нощно шкафче", "komodin", "tủ đầu giường",
+    ),
     "armchair": (
-        "fauteuil", "sessel", "poltrona", "sillon", "sillón", "fåtölj", "fauteuille", "fotel", "кресло", "lænestol",
-        "扶手椅", "肘掛け椅子", "안락의자", "πολυθρόνα", "křeslo", "fotelj", "фотьойл", "ghế bành",
+        "fauteuil", "*sessel", "poltrona", "sillon", "sillón", "*fåtölj", "fauteuille", "fotel", "*nojatuoli", "кресло",
+        "*lænestol", "扶手椅", "肘掛け椅子", "안락의자", "πολυθρόνα", "křeslo", "*fotelj", "фотьойл", "ghế bành",
     ),
     "chair": (
-        "chaise", "stuhl", "sedia", "silla", "cadeira", "stol", "stoel", "krzesło", "židle", "tuoli", "стул", "стол за",
-        "szék", "椅子", "いす", "イス", "의자", "καρέκλα", "стілець", "sandalye", "ghế", "כיסא", "كرسي",
+        "chaise", "*stuhl", "sedia", "silla", "cadeira", "*stol", "*stoel", "krzesło", "židle", "*tuoli", "стул",
+        "стол за", "*szék", "椅子", "いす", "イス", "의자", "καρέκλα", "стілець", "sandalye", "ghế", "כיסא", "كرسي",
     ),
     "bed": (
-        "lit", "bett", "letto", "cama", "säng", "seng", "łóżko", "postel", "sänky", "кровать", "ágy", "床", "ベッド",
-        "침대", "κρεβάτι", "легло", "ліжко", "yatak", "giường", "מיטה", "سرير",
+        "lit", "*bett", "*bed", "letto", "cama", "*säng", "*seng", "łóżko", "postel", "*sänky", "кровать", "*ágy", "床",
+        "ベッド", "침대", "κρεβάτι", "легло", "ліжко", "yatak", "giường", "מיטה", "سرير",
     ),
     "desk": (
-        "schreibtisch", "scrivania", "escritorio", "escrivaninha", "secretária", "skrivbord", "bureau", "biurko",
-        "kirjoituspöytä", "письменный стол", "íróasztal", "书桌", "デスク", "책상", "γραφείο", "бюро",
+        "*schreibtisch", "*bureautafel", "*työpöytä", "scrivania", "escritorio", "escrivaninha", "secretária",
+        "*skrivbord", "bureau", "biurko", "*kirjoituspöytä", "письменный стол", "*íróasztal",
+        "书桌", "デスク", "책상", "γραφείο", "бюро",
     ),
     "table": (
-        "tisch", "tavolo", "mesa", "bord", "tafel", "stół", "stůl", "pöytä", "стол", "asztal", "桌", "テーブル",
+        "*tisch", "tavolo", "mesa", "*bord", "*tafel", "stół", "stůl", "*pöytä", "стол", "*asztal", "桌", "テーブル",
         "테이블", "τραπέζι", "маса", "стіл", "masa", "bàn", "שולחן", "طاولة",
     ),
     "sofa": ("canapé", "divano", "sofá", "soffa", "диван", "kanapa", "pohovka", "kanapé", "沙发", "ソファ", "소파"),
-    "stool": ("tabouret", "hocker", "sgabello", "taburete", "pall", "kruk", "barkruk", "taboret", "табурет"),
+    "stool": ("tabouret", "*hocker", "sgabello", "taburete", "pall", "*kruk", "*barkruk", "taboret", "табурет"),
 }  # fmt: skip
-"""Names in other languages than English, for furniture that nothing else tells about."""
+"""Names in other languages than English, for furniture that nothing else tells about; those with a star end words."""
 
-OFFICE = re.compile(r"office|desk|swivel|task", re.IGNORECASE)
+BEFORE_ENGLISH = ("", "lounger", "high_chair", "nightstand")
+"""Kinds whose names hold the word for another kind, which may be English too ("table de chevet")."""
+
+OFFICE = re.compile(r"office|desk|swivel|task|büro|bureau|kantoor|kontor|toimisto", re.IGNORECASE)
 
 
 def label_of(texts: Sequence[str], size: Size) -> str | None:
@@ -88,16 +110,31 @@ def label_of_name(name: str, known: Mapping[str, str], size: Size) -> str | None
     folded = name.casefold().strip()
     if folded in known:
         return known[folded]
-    if (label := label_of([folded], size)) is not None:
-        return label
-    for kind, words in WORDS.items():
-        for word in words:
-            if word.isascii() or word.isalpha() and word[0] < "\u0590":
-                found = re.search(rf"\b{word}\b", folded)
-            else:  # scripts without spaces between words
-                found = re.search(word, folded)
-            if found:
-                return by_size(kind, size, False)
+    kind = _kind_by_words(folded, BEFORE_ENGLISH)
+    if kind is None:
+        if (label := label_of([folded], size)) is not None:
+            return label
+        kind = _kind_by_words(folded, WORDS)
+    return by_size(kind, size, bool(OFFICE.search(folded))) if kind else None
+
+
+def only_sounds(texts: Sequence[str]) -> bool:
+    """Whether one of these English texts has a word for furniture and another that says it is none."""
+    hiding, *others = (pattern for _, pattern in RULES)
+    return any(
+        re.search(hiding, spaced) and any(re.search(pattern, spaced) for pattern in others)
+        for spaced in map(words_of, texts)
+    )
+
+
+def _kind_by_words(folded: str, kinds: Iterable[str]) -> str | None:
+    for kind in kinds:
+        for word in WORDS[kind]:
+            plain = word.removeprefix("*")
+            spaced = plain[0] < "\u0590"  # other scripts have no spaces between words
+            start = r"\b" if spaced and plain == word else ""
+            if re.search(f"{start}{plain}" + (r"\b" if spaced else ""), folded):
+                return kind
     return None
 
 

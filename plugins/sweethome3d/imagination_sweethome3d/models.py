@@ -14,6 +14,8 @@ from imagination_sweethome3d.obj import Look, ObjMesh, read_obj
 
 UNEVEN = 1.5
 """Most that a mesh may be stretched along one axis against another."""
+NOTED = 1.1
+"""Stretch from which it is noted."""
 DEGENERATE = 0.5
 """Largest share of triangles without area."""
 CLEAR = 0.05
@@ -23,18 +25,18 @@ MAX_TRIANGLES = 65_000
 Range = tuple[float, float]
 
 SIZES: Mapping[str, tuple[Range, Range, Range]] = {
-    "chair": ((0.3, 1.0), (0.3, 1.0), (0.6, 1.4)),
+    "chair": ((0.25, 1.0), (0.25, 1.0), (0.45, 1.4)),
     "office_chair": ((0.4, 0.9), (0.4, 0.9), (0.75, 1.4)),
-    "armchair": ((0.45, 1.3), (0.45, 1.3), (0.55, 1.3)),
+    "armchair": ((0.45, 1.3), (0.45, 1.6), (0.55, 1.3)),
     "dining_table": ((0.6, 2.6), (0.5, 1.8), (0.6, 1.1)),
     "desk": ((0.6, 2.4), (0.4, 1.2), (0.6, 1.9)),
-    "coffee_table": ((0.4, 1.8), (0.35, 1.4), (0.2, 0.65)),
+    "coffee_table": ((0.4, 2.1), (0.35, 1.6), (0.2, 0.65)),
     "side_table": ((0.25, 0.7), (0.25, 0.7), (0.3, 0.75)),
-    "double_bed": ((1.2, 2.4), (1.6, 2.4), (0.3, 1.7)),
+    "double_bed": ((1.2, 2.4), (1.6, 2.4), (0.15, 1.7)),
     "single_bed": ((0.6, 2.3), (0.6, 2.4), (0.3, 1.4)),
     "bunk_bed": ((0.7, 2.2), (0.7, 2.7), (1.2, 2.3)),
-    "sofa": ((1.1, 3.6), (0.6, 2.0), (0.5, 1.2)),
-    "stool": ((0.25, 0.7), (0.25, 0.7), (0.35, 1.15)),
+    "sofa": ((1.1, 3.6), (0.6, 2.0), (0.45, 1.2)),
+    "stool": ((0.25, 1.0), (0.25, 1.0), (0.35, 1.15)),
     "bench": ((0.7, 1.8), (0.3, 0.6), (0.35, 0.9)),
     "nightstand": ((0.25, 0.7), (0.25, 0.6), (0.3, 0.8)),
     "wardrobe": ((0.6, 2.4), (0.4, 0.8), (1.6, 2.4)),
@@ -86,25 +88,31 @@ def check_size(label: str, size: tuple[float, float, float]) -> None:
             raise UnfitError(f"its {side} is {value:.2f} m, expected {low} to {high} m for {label}")
 
 
-def load_model(
-    archive: Archive, name: str, size: tuple[float, float, float], turn: Float[np.ndarray, "3 3"]
-) -> Model:
-    """A model of an archive.
+def read_model(archive: Archive, name: str) -> ObjMesh:
+    """The mesh of a model as its file has it.
+
+    Raises:
+        UnfitError: if it is no OBJ file, missing or malformed.
+    """
+    if not name.lower().endswith(".obj"):
+        raise UnfitError(f"its model {name} is no OBJ file")
+    try:
+        return read_obj(archive, name)
+    except UserError as error:
+        raise UnfitError(str(error)) from error
+
+
+def fitted(mesh: ObjMesh, size: tuple[float, float, float], turn: Float[np.ndarray, "3 3"]) -> Model:
+    """A mesh made ready.
 
     Args:
-        archive, name: where its OBJ file is.
+        mesh: as its file has it.
         size: width, depth and height of the catalogue, metres.
         turn: the catalogue's rotation of the mesh.
 
     Raises:
         UnfitError: if it is not sane, with the reason.
     """
-    if not name.lower().endswith(".obj"):
-        raise UnfitError(f"its model {name} is no OBJ file")
-    try:
-        mesh = read_obj(archive, name)
-    except UserError as error:
-        raise UnfitError(str(error)) from error
     notes = [*mesh.notes]
     vertices = _scaled(mesh, size, turn, notes)
     kept = _kept_faces(mesh, vertices, notes)
@@ -140,6 +148,8 @@ def _scaled(
             f"the catalogue's size stretches its mesh {spreads[best]:.2f} times more along one axis than along "
             f"another, expected at most {UNEVEN}"
         )
+    if spreads[best] > NOTED:
+        notes.append(f"it is stretched {spreads[best]:.2f} times more along one axis than along another")
     if best == 1:
         notes.append("the catalogue's rotation is already in the mesh")
     vertices = choices[best]

@@ -15,11 +15,17 @@ from PIL import Image
 from imagination.errors import UserError
 from imagination_sweethome3d.archives import Archive
 
-MAX_ELEMENTS = 2_000_000
-"""Most vertices, and most triangles, that a model may have."""
+MAX_ELEMENTS = 500_000
+"""Most vertices, texture coordinates, and triangles that a model may have."""
+MAX_LOOKS = 256
+"""Most materials, and so pictures, of a model."""
+MAX_LIBRARIES = 16
+MAX_NOTES = 20
 TEXTURE_SIDE = 256
 """Longest side of textures, pixels: a robot's camera sees no more of a chair."""
 MAX_PIXELS = 64 * 2**20
+FORMATS = ("PNG", "JPEG", "GIF", "BMP")
+"""Of pictures, whatever their names say: some of Pillow's other readers start programs."""
 
 Row = list[tuple[int, int]]
 
@@ -52,15 +58,17 @@ def read_obj(archive: Archive, name: str) -> ObjMesh:
         UserError: if it is missing or malformed, with the line.
     """
     reader = _Reader(archive, name)
-    for number, line in enumerate(archive.read(name).decode("latin-1").splitlines(), start=1):
+    for number, line in enumerate(archive.lines(name), start=1):
         try:
             reader.take(line.split())
         except (ValueError, IndexError) as error:
             raise UserError(
-                f"{archive.path}: {name}, line {number}: got {line[:60]!r}, expected OBJ ({error})"
+                f"{archive.path}: {name}, line {number}: got {line.rstrip()[:60]!r}, expected OBJ ({error})"
             ) from error
-        if max(len(reader.vertices), len(reader.corners)) > MAX_ELEMENTS:
-            raise UserError(f"{archive.path}: {name}: has more than {MAX_ELEMENTS} vertices or triangles")
+        if max(len(reader.vertices), len(reader.coordinates), len(reader.corners)) > MAX_ELEMENTS:
+            raise UserError(
+                f"{archive.path}: {name}: has more than {MAX_ELEMENTS} vertices, texture coordinates or triangles"
+            )
     return reader.finished()
 
 
@@ -76,7 +84,9 @@ class _Reader:
         self.looks: list[Look] = [Look()]
         self.rows: dict[str, int] = {}
         self.row = 0
-        self.notes: list[str] = []
+        self.libraries: set[str] = set()
+        self.pictures: dict[str, UInt8[np.ndarray, "th tw 3"]] = {}
+        self.notes: dict[str, None] = {}
         self.lines = 0  # faces of two corners or fewer
 
     def take(self, words: list[str]) -> None:
@@ -116,15 +126,22 @@ class _Reader:
         """Materials of an MTL file; what is missing is noted."""
         path = posixpath.normpath(posixpath.join(self.folder, name.replace("\\", "/")))
         if path not in self.archive:
-            self.notes.append(f"its material file {name} is missing")
+            self._note(f"its material file {name} is missing")
             return
+        if path in self.libraries:
+            return
+        self.libraries.add(path)
+        if len(self.libraries) > MAX_LIBRARIES:
+            raise ValueError(f"it names more than {MAX_LIBRARIES} material files")
         look = self.looks[0]
-        for line in self.archive.read(path).decode("latin-1").splitlines():
+        for line in self.archive.lines(path):
             match line.split():
                 case ["newmtl", *words]:
                     look = Look()
                     self.rows[" ".join(words)] = len(self.looks)
                     self.looks.append(look)
+                    if len(self.looks) > MAX_LOOKS:
+                        raise ValueError(f"it has more than {MAX_LOOKS} materials")
                 case ["Kd", red, green, blue, *_]:
                     look.colour = _share(red), _share(green), _share(blue)
                 case ["d", value]:
@@ -137,9 +154,17 @@ class _Reader:
     def _picture(self, name: str) -> UInt8[np.ndarray, "th tw 3"] | None:
         path = posixpath.normpath(posixpath.join(self.folder, name.replace("\\", "/")))
         if path not in self.archive:
-            self.notes.append(f"its picture {name} is missing")
+            self._note(f"its picture {name} is missing")
             return None
-        return picture(self.archive, path)
+        if path not in self.pictures:
+            if len(self.pictures) == MAX_LOOKS:
+                raise ValueError(f"it has more than {MAX_LOOKS} pictures")
+            self.pictures[path] = picture(self.archive, path)
+        return self.pictures[path]
+
+    def _note(self, text: str) -> None:
+        if len(self.notes) < MAX_NOTES:
+            self.notes[text] = None
 
     def finished(self) -> ObjMesh:
         corners = np.array(self.corners, np.int64).reshape(-1, 3, 2)
@@ -149,16 +174,16 @@ class _Reader:
             [look.texture is not None for look in self.looks]
         )[face_look]
         if bare.any():
-            self.notes.append(f"{bare.sum()} faces have a picture but no texture coordinates")
+            self._note(f"{bare.sum()} faces have a picture but no texture coordinates")
         if self.lines:
-            self.notes.append(f"{self.lines} of its faces have fewer than three corners")
+            self._note(f"{self.lines} of its faces have fewer than three corners")
         return ObjMesh(
             np.array(self.vertices).reshape(-1, 3),
             corners[..., 0],
             uv,
             face_look,
             self.looks,
-            list(dict.fromkeys(self.notes)),
+            list(self.notes),
         )
 
 
@@ -169,7 +194,7 @@ def picture(archive: Archive, name: str) -> UInt8[np.ndarray, "th tw 3"]:
         UserError: if it is damaged or too large.
     """
     try:
-        with Image.open(io.BytesIO(archive.read(name))) as image:
+        with Image.open(io.BytesIO(archive.read(name)), formats=FORMATS) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise UserError(
                     f"{archive.path}: {name} has {image.width} x {image.height} pixels, expected at most {MAX_PIXELS}"

@@ -15,12 +15,25 @@ from imagination_sweethome3d.home_file import Colour, HomePiece, Level, Room, Wa
 SILL = 0.15
 """Highest foot of an opening that is a door, metres: windows are closed by a pane, doors stand open."""
 GLASS = (0.80, 0.88, 0.95)
+MAX_PARTS = 50_000
+"""Most boxes that the walls of a level may be made of."""
+MAX_PAIRS = 1_000_000
+"""Most pairs of a wall and an opening of a level: each is looked at."""
 AT_WALL = 0.35
 """Farthest that an opening's middle may lie from a wall's, metres."""
 
 
 def build_shell(level: Level) -> Piece:
-    """Everything of a level that is not furniture, its floor at height 0."""
+    """Everything of a level that is not furniture, its floor at height 0.
+
+    Raises:
+        UserError: if it has more walls and openings than a home has, or a room that cannot be filled.
+    """
+    if len(level.walls) * len(level.openings) > MAX_PAIRS:
+        raise UserError(
+            f"level {level.name!r}: got {len(level.walls)} walls and {len(level.openings)} doors and windows, expected "
+            f"at most {MAX_PAIRS} pairs of them"
+        )
     shell = Assembly("building", "building")
     finishes: dict[Colour, Finish] = {}
 
@@ -80,6 +93,10 @@ def _add_wall(
     holes = [hole for piece in openings if (hole := _hole(piece, wall, start, along, length)) is not None]
     cuts_s = np.unique(np.clip([0.0, length, *(s for hole in holes for s in hole[:2])], 0, length))
     cuts_z = np.unique(np.clip([0.0, wall.height, *(z for hole in holes for z in hole[2:])], 0, wall.height))
+    if len(shell.parts) + len(cuts_s) * len(cuts_z) > MAX_PARTS:
+        raise UserError(
+            f"walls and their {len(openings)} doors and windows take more than {MAX_PARTS} boxes, no home has as many"
+        )
     for s0, s1 in zip(cuts_s[:-1], cuts_s[1:], strict=True):
         for z0, z1 in zip(cuts_z[:-1], cuts_z[1:], strict=True):
             s, z = (s0 + s1) / 2, (z0 + z1) / 2
