@@ -9,7 +9,7 @@ import numpy as np
 
 from imagination.errors import UserError
 from imagination.scenes.scene import SPLITS, Split
-from imagination_scans.building import Building, ScannedObject, check_building, coloured
+from imagination_scans.building import GREY, Building, ScannedObject, check_building, coloured
 from imagination_scans.layouts import face_colours, split_lists
 
 ENDINGS = (".ply", ".json", ".txt", ".obj", ".glb")
@@ -69,7 +69,7 @@ class SceneZoo:
         of_face = labels.labels if labels.domain == "face" else labels.labels[faces].max(axis=1)
         if len(of_face) != len(faces):
             raise UserError(f"{building}: got {len(of_face)} labels for {len(faces)} faces")
-        rgb = np.full((len(vertices), 3), 180, np.uint8)
+        rgb = np.full((len(vertices), 3), GREY, np.uint8)
         if mesh.has_vertex_colors():
             rgb = np.round(np.asarray(mesh.vertex_colors) * 255).astype(np.uint8)
         materials, face_material, face_uv = coloured(face_colours(rgb, faces))
