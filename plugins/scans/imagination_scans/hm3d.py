@@ -26,14 +26,15 @@ class HM3D:
     """Folders train and val of `<number>-<id>` with `<id>.semantic.glb`, `.semantic.txt` and, for colour, `.glb`."""
 
     name = "hm3d"
+    expected = (
+        "train/<number>-<id>/<id>.semantic.glb, <id>.semantic.txt and, for colours, <id>.glb (the archives "
+        "hm3d-…-semantic-annots and hm3d-…-glb)"
+    )
 
     def buildings(self, folder: Path) -> dict[str, Path]:
         found = {path.name.partition(".")[0]: path for path in sorted(folder.rglob("*.semantic.txt"))}
         if not found:
-            raise UserError(
-                f"hm3d: found no .semantic.txt in {folder.resolve()}; expected train/<number>-<id>/<id>.semantic.glb, "
-                "<id>.semantic.txt and, for colours, <id>.glb (the archives hm3d-…-semantic-annots and hm3d-…-glb)"
-            )
+            raise UserError(f"hm3d: found no .semantic.txt in {folder.resolve()}; expected {self.expected}")
         return found
 
     def splits(self, folder: Path, names: Sequence[str]) -> Mapping[str, Split]:

@@ -14,9 +14,15 @@ from imagination_scans.building import GREY, MAX_ID, Building
 
 
 class Layout(Protocol):
-    """How a data set lies on disk. Plain values only inside, so that worker processes receive a copy of it."""
+    """How a data set lies on disk. Plain values only inside, so that worker processes receive a copy of it.
+
+    Attributes:
+        name: of the data set.
+        expected: what a right folder holds.
+    """
 
     name: str
+    expected: str
 
     def buildings(self, folder: Path) -> dict[str, Path]:
         """Each building's folder or main file, by its name.

@@ -51,14 +51,16 @@ class Matterport3D:
     """`<id>/house_segmentations/<id>.house` and `<id>.ply`, or Habitat's `<id>/<id>.house` and `<id>_semantic.ply`."""
 
     name = "matterport3d"
+    expected = (
+        "<id>/house_segmentations/<id>.house and <id>.ply as in the release (v1/scans), or <id>/<id>.house and "
+        "<id>_semantic.ply as for Habitat"
+    )
 
     def buildings(self, folder: Path) -> dict[str, Path]:
         found = {path.stem: path for path in sorted(folder.rglob("*.house"))}
         if not found:
             raise UserError(
-                f"matterport3d: found no .house file in {folder.resolve()}; expected <id>/house_segmentations/"
-                "<id>.house and <id>.ply as in the release (v1/scans), or <id>/<id>.house and <id>_semantic.ply as for "
-                "Habitat"
+                f"matterport3d: found no .house file in {folder.resolve()}; expected {self.expected}"
             )
         return found
 

@@ -28,13 +28,13 @@ class Replica:
     """`<scene>/habitat/info_semantic.json` and `mesh_semantic.ply`."""
 
     name = "replica"
+    expected = f"<scene>/habitat/{INFO} and mesh_semantic.ply, as the release has them"
 
     def buildings(self, folder: Path) -> dict[str, Path]:
         found = {path.parent.parent.name: path for path in sorted(folder.rglob(f"habitat/{INFO}"))}
         if not found:
             raise UserError(
-                f"replica: found no habitat/{INFO} in {folder.resolve()}; expected <scene>/habitat/{INFO} and "
-                "mesh_semantic.ply, as the release has them"
+                f"replica: found no habitat/{INFO} in {folder.resolve()}; expected {self.expected}"
             )
         return found
 

@@ -1,4 +1,4 @@
-"""What the library scenezoo reads: ScanNet, ScanNet++, ARKitScenes, MultiScan, 3RScan, Structured3D and others."""
+"""ScanNet, as the library scenezoo reads it; its other data sets have the same interface."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -29,6 +29,8 @@ class SceneZoo:
     lists: str
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
+    expected = "the layout of the release (scenezoo's documentation shows it for each data set)"
+
     @property
     def name(self) -> str:
         return self.dataset
@@ -39,7 +41,7 @@ class SceneZoo:
         if not folders:
             raise UserError(
                 f"{self.dataset}: found no folder in {folder.resolve()} that is called like one of its {len(known)} "
-                "samples; expected the layout of the release (scenezoo's documentation shows it for each data set)"
+                f"samples; expected {self.expected}"
             )
         return folders
 

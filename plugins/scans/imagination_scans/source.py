@@ -29,7 +29,7 @@ class ScannedBuildings:
 
     Args:
         layout: how the data set lies on disk.
-        folder: that the user downloaded.
+        folder: that the user downloaded; nobody else can say which.
         names: for each category of the table, the data set's names that belong to it.
         categories: the category table.
         robot_radius: metres.
@@ -45,7 +45,7 @@ class ScannedBuildings:
     def __init__(
         self,
         layout: Layout,
-        folder: str,
+        folder: str | None,
         names: Mapping[str, Sequence[str]],
         categories: CategoryTable,
         robot_radius: float,
@@ -55,6 +55,8 @@ class ScannedBuildings:
         licence: str,
     ) -> None:
         self.name = layout.name
+        if not folder:
+            raise UserError(f"data.scenes.folder: got none, expected one with {layout.expected}")
         self._layout, self._folder, self._cache = layout, Path(folder), cache
         self._robot_radius, self._clearance, self._largest = robot_radius, tuple(clearance), largest
         self._licence = licence
@@ -64,7 +66,8 @@ class ScannedBuildings:
             self._category_of |= dict.fromkeys(labels, category)
         if not self._folder.is_dir():
             raise UserError(
-                f"{self.name}: there is no folder {self._folder.resolve()}; set data.scenes.folder"
+                f"{self.name}: there is no folder {self._folder.resolve()}; set data.scenes.folder to one with "
+                f"{layout.expected}"
             )
         self._buildings = layout.buildings(self._folder)
         self._split_of = layout.splits(self._folder, list(self._buildings))
