@@ -138,11 +138,30 @@ def _parts(path: Path) -> list[Part]:
         scene = trimesh.load_scene(path, process=False)
         meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
         parts = [Part(mesh, _image(mesh.visual)) for mesh in meshes]
+        for part in parts:
+            _check_part(part)
     except Exception as error:  # trimesh raises whatever the parts of the file it stumbled on raise
         raise UserError(f"{path}: cannot be read as GLB: {type(error).__name__}: {error}") from error
     if not parts:
         raise UserError(f"{path}: holds no mesh")
     return parts
+
+
+def _check_part(part: Part) -> None:
+    """Refuse what trimesh passes on.
+
+    Raises:
+        ValueError: with what is wrong.
+    """
+    mesh, count = part.mesh, len(part.mesh.vertices)
+    if mesh.faces.shape[1:] != (3,) or mesh.faces.min() < 0 or mesh.faces.max() >= count:
+        raise ValueError(f"faces refer to vertices {mesh.faces.min()} to {mesh.faces.max()}, of {count}")
+    if mesh.vertices.shape[1:] != (3,) or not np.isfinite(mesh.vertices).all():
+        raise ValueError("vertices that are not finite")
+    if part.image is not None and np.shape(mesh.visual.uv) != (count, 2):
+        raise ValueError(f"{np.shape(mesh.visual.uv)} texture coordinates for {count} vertices")
+    if part.image is not None and not np.isfinite(mesh.visual.uv).all():
+        raise ValueError("texture coordinates that are not finite")
 
 
 def _joined(parts: list[Part]) -> tuple[np.ndarray, np.ndarray]:
