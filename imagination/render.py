@@ -1,6 +1,7 @@
 """Ground truth of a scene as arrays and pictures: `python -m imagination.render scene=test_0000`."""
 
 import logging
+import re
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -47,12 +48,17 @@ def main(config: DictConfig) -> None:
     observer: Observer = instantiate(config.data.observer)
     split = cast(Split, check_choice("split", config.split, SPLITS))
     name = config.scene or observer.source.scenes(split)[0]
-    folder = Path(config.folder) / name
+    folder = Path(config.folder) / folder_name(name)
     try:
         draw(config, observer, name, folder)
     except KeyboardInterrupt:
         print(f"Interrupted; not all files of {folder}/ are written. Start again.", file=sys.stderr)
         sys.exit(130)
+
+
+def folder_name(scene: str) -> str:
+    """One folder's name for a scene whose name may be a path, as a file of Habitat's is."""
+    return re.sub(r"[^\w.-]+", "_", scene).strip("._")
 
 
 def draw(config: DictConfig, observer: Observer, name: str, folder: Path) -> None:

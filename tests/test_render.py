@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from imagination.ground_truth.maps import GroundTruth
+from imagination.render import folder_name
 from tests.conftest import Command
+from tests.scene_sources.buildings import write_matterport
 
 
 def test_writes_arrays_and_pictures_of_every_stage(command: Command, tmp_path: Path) -> None:
@@ -45,3 +47,23 @@ def test_mistakes_are_told(command: Command, tmp_path: Path, arguments: list[str
     result = command("render", "scale=test", *arguments)
     assert result.returncode == 2 and message in result.stderr and "Traceback" not in result.stderr
     assert not list(tmp_path.rglob("*.npz"))
+
+
+def test_another_source_is_drawn_as_well(command: Command, tmp_path: Path) -> None:
+    write_matterport(tmp_path / "scans")
+    scans = "scale=test", "data/scenes=matterport3d"
+    result = command("render", *scans, "data.scenes.folder=scans", "poses=6")
+    assert result.returncode == 0, result.stderr
+    folder = tmp_path / "outputs" / "render" / "17DRP5sb8fy_0"
+    assert (folder / "scene.png").is_file() and "chair: 1 objects" in result.stderr
+    with np.load(folder / "truth.npz") as arrays:
+        assert arrays["truth"].any()
+    result = command("render", *scans)
+    assert result.returncode == 2 and "Traceback" not in result.stderr
+    assert "data.scenes.folder: got none, expected one with <id>/house_segmentations/" in result.stderr
+
+
+def test_a_scene_that_is_a_path_is_drawn_into_the_folder() -> None:
+    assert folder_name("test_0000") == "test_0000"
+    assert folder_name("/data/homes/a.glb") == "data_homes_a.glb"
+    assert folder_name("../b c") == "b_c"

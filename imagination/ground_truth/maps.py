@@ -123,6 +123,12 @@ def look_points(free: FreeSpace, spacing: float) -> Float[np.ndarray, "n 2"]:
     return places[order[first]]
 
 
+def needed_extent(scene: Scene) -> float:
+    """Side of the smallest map, centred on the free space, that holds all free space and all boxes, metres."""
+    centre, corners = _reach(scene)
+    return float(2 * np.abs(corners - centre).max())
+
+
 def box_cells(box: OrientedBox, grid: Grid) -> tuple[tuple[slice, slice], Bool[np.ndarray, "a b"]]:
     """The cells whose centre lies in a box seen from above: a window of the grid and which of its cells."""
     corners = np.clip(grid.to_cells(box.footprint()), 0, np.array(grid.shape) - 1)
@@ -146,18 +152,21 @@ def _check_instances(scene: Scene) -> None:
 
 def _grid_for(scene: Scene, spec: GroundTruthSpec) -> Grid:
     """The map, centred on the free space; all free space and all boxes must lie in it."""
+    if (needed := needed_extent(scene)) >= spec.extent:
+        raise UserError(
+            f"scene {scene.name} is larger than the map: got ground_truth.extent {spec.extent} m, expected at least "
+            f"{needed + 3 * spec.resolution:.2f} m; raise the extent or leave the scene out"
+        )
+    (x, y), _ = _reach(scene)
+    return Grid.centred(spec.extent, spec.resolution, (float(x), float(y)))
+
+
+def _reach(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "n 2"]]:
+    """The middle of the free space, and all places of it and corners of boxes: world x, y."""
     free = scene.free_space
     places = free.grid.to_points(np.argwhere(free.mask))
     centre = (places.min(axis=0) + places.max(axis=0)) / 2
-    grid = Grid.centred(spec.extent, spec.resolution, (float(centre[0]), float(centre[1])))
-    corners = np.concatenate([places, *(thing.box.footprint() for thing in scene.objects)])
-    if not grid.inside(grid.to_cells(corners)).all():
-        needed = 2 * np.abs(corners - centre).max() + 3 * spec.resolution
-        raise UserError(
-            f"scene {scene.name} is larger than the map: got ground_truth.extent {spec.extent} m, expected at least "
-            f"{needed:.2f} m; raise the extent or leave the scene out"
-        )
-    return grid
+    return centre, np.concatenate([places, *(thing.box.footprint() for thing in scene.objects)])
 
 
 def _look_around(

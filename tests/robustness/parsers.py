@@ -183,3 +183,48 @@ PARSERS += [
     ),
     Parser("obj", within(["m.obj", "model.mtl", "p.png"], model), lambda: homes_and_furniture()["model"]),
 ]
+
+
+@cache
+def building(name: str) -> dict[str, bytes]:
+    """Files of a tiny scanned building, its main one first."""
+    with tempfile.TemporaryDirectory() as folder:
+        main: Path = getattr(buildings, f"write_{name}")(Path(folder))
+        return {path.name: path.read_bytes() for path in (main, *main.parent.iterdir())}
+
+
+def scan(name: str, layout: "Layout", ending: str) -> Parser:
+    """Read a building of which the file with this ending is exchanged."""
+
+    def broken() -> str:
+        return next(file for file in building(name) if file.endswith(ending))
+
+    def parse(path: Path) -> object:
+        with tempfile.TemporaryDirectory() as folder:
+            for file, content in building(name).items():
+                (Path(folder) / file).write_bytes(content)
+            (Path(folder) / broken()).write_bytes(path.read_bytes())
+            return layout.read(Path(folder) / next(iter(building(name))))
+
+    return Parser(f"{name}{ending}", parse, lambda: [building(name)[broken()]])
+
+
+if find_spec("plyfile") is not None and find_spec("trimesh") is not None:
+    from tests.scene_sources import buildings
+    from tests.scene_sources.sources import activate
+
+    activate()  # plugins of this checkout can be imported
+    from imagination_scans.hm3d import HM3D
+    from imagination_scans.layouts import Layout
+    from imagination_scans.matterport3d import Matterport3D
+    from imagination_scans.replica import Replica
+
+    PARSERS += [
+        scan("matterport", Matterport3D(), ".house"),
+        scan("matterport", Matterport3D(), ".ply"),
+        scan("replica", Replica(), ".json"),
+        scan("replica", Replica(), ".ply"),
+        scan("hm3d", HM3D(), ".semantic.txt"),
+        scan("hm3d", HM3D(), ".semantic.glb"),
+        scan("hm3d", HM3D(), "k.glb"),
+    ]

@@ -14,6 +14,10 @@ COLOURS = np.array([[200, 200, 190], [150, 100, 50], [50, 75, 180], [180, 50, 75
 """Of the building and its four objects."""
 
 
+SEGMENT = 1_000_003
+"""Ids of Matterport3D's segments begin here."""
+
+
 def tiny_building(floors: int = 1) -> list[Scene]:
     """One tiny room on each floor, 3 m apart, turned and away from the origin; ids count on from floor to floor."""
     return [tiny_room(turn=0.4, shift=(2.0, -1.0), floor_height=0.6 + 3.0 * floor) for floor in range(floors)]
@@ -64,20 +68,25 @@ def halves(quads: np.ndarray) -> np.ndarray:
 
 
 def write_matterport(folder: Path, name: str = "17DRP5sb8fy", floors: int = 1, habitat: bool = False) -> Path:
-    """A building as the release, or Habitat, has it; returns its .house file."""
+    """A building as the release, or Habitat, has it; returns its .house file.
+
+    Of the release's columns only the segment leads to the object: through a record E, whose place is not its id.
+    """
     rooms = tiny_building(floors)
     vertices, quads, owner, colour = soup(rooms)
     inside = folder / name if habitat else folder / name / "house_segmentations"
     faces, face_owner = halves(quads), np.repeat(owner, 2)
     rgb = np.repeat(colour, 4, axis=0)
     extra = {"objectid": face_owner} if habitat else {
-        "material_id": face_owner, "segment_id": face_owner, "category_id": np.maximum(face_owner, 0)
+        "material_id": np.where(face_owner >= 0, SEGMENT + 7 * face_owner, -1),
+        "segment_id": np.where(face_owner >= 0, face_owner ^ 1, -1),
+        "category_id": np.maximum(face_owner, 0),
     }  # fmt: skip
     ply(inside / (f"{name}_semantic.ply" if habitat else f"{name}.ply"), vertices, faces, rgb, extra)
     things = [thing for room in rooms for thing in room.objects]
     labels = sorted({thing.label for thing in things})
     lines = ["ASCII 1.1"]
-    counts = f"0 0 0 0 0 {len(things)} {len(labels)} {floors} 0 {floors}"
+    counts = f"0 0 0 0 {len(things)} {len(things)} {len(labels)} {floors} 0 {floors}"
     lines.append(f"H {name} house {counts} 0 0 0 0 0 0 0 0 9 9 9 0 0 0 0 0")
     for floor in range(floors):
         lines.append(f"L {floor} 1 level 0 0 {3 * floor} 0 0 0 9 9 9 0 0 0 0 0")
@@ -91,6 +100,10 @@ def write_matterport(folder: Path, name: str = "17DRP5sb8fy", floors: int = 1, h
         axes = f"{cos} {sin} 0 {-sin} {cos} 0"
         lines.append(
             f"O {number} {number // 4} {labels.index(thing.label)} {x} {y} {z} {axes} {radii} 0 0 0 0 0 0 0 0"
+        )
+    for number in reversed(range(len(things))):
+        lines.append(
+            f"E {len(things) - 1 - number} {number} {SEGMENT + 7 * number} 1 0 0 0 0 0 0 9 9 9 0 0 0 0 0"
         )
     house = inside / f"{name}.house"
     house.write_text("\n".join(lines) + "\n")
@@ -128,9 +141,12 @@ def write_hm3d(folder: Path, name: str = "abcdefghijk", split: str = "train") ->
     codes = np.array([0x000000, 0xC7D5C5, 0x1A2B3C, 0x4D5E6F, 0x102030])
     paint = np.stack([codes >> 16 & 255, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
     for file, colours in ((f"{name}.semantic.glb", paint), (f"{name}.glb", COLOURS)):
-        image = np.repeat(np.repeat(colours[None], 8, axis=0), 8, axis=1)  # five stripes
+        image = np.repeat(
+            np.repeat(colours[None], 8, axis=0), 8, axis=1
+        )  # five stripes, their row below the middle
+        image = np.concatenate([image[:, ::-1], image])
         u = (owner + 1.5) / len(colours)
-        uv = np.repeat(np.stack([u, np.full(len(u), 0.5)], axis=-1), 4, axis=0)
+        uv = np.repeat(np.stack([u, np.full(len(u), 0.25)], axis=-1), 4, axis=0)
         material = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.fromarray(image))
         visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
         mesh = trimesh.Trimesh(vertices, halves(quads), visual=visual, process=False)

@@ -19,6 +19,9 @@ FIRST_ID = 7
 """Semantic ids begin here, so that they are no instance ids by chance."""
 
 
+COLOR, DEPTH, SEMANTIC = 1, 2, 3
+
+
 class Crash(BaseException):
     """Where the real one ends the whole process."""
 
@@ -28,7 +31,7 @@ class Fake:
 
     def __init__(self) -> None:
         self.room = tiny_room(turn=0.3, shift=(1.0, 2.0), floor_height=FLOOR)
-        self.started = self.changed = 0
+        self.started = self.changed = self.renders = 0
         self.blind = self.no_floor = self.unnamed = False
 
 
@@ -80,7 +83,14 @@ class Simulator:
         simulator, (agent,) = configuration.parts
         if simulator.gpu_device_id != -1:
             raise Crash("no CUDA here")
+        assert not simulator.enable_physics
         self._sensors = agent.sensor_specifications
+        for sensor in self._sensors:
+            assert sensor.position == sensor.orientation == [0.0, 0.0, 0.0]
+            assert all(isinstance(value, float) for value in (*sensor.position, *sensor.orientation))
+            assert sensor.sensor_type != COLOR or not simulator.pbr_image_based_lighting, "it starts for 20 s"
+        at_the_origin = SimpleNamespace(components=(1.0, 0.0, 0.0, 0.0))
+        self._state = SimpleNamespace(position=(0.0, 0.0, 0.0), rotation=at_the_origin)
         self._renderer = Renderer(self.fake.room.mesh, self.fake.room.lighting)
         self.pathfinder = Pathfinder(self.fake)
         objects = [] if self.fake.unnamed else [_object(thing) for thing in self.fake.room.objects]
@@ -95,8 +105,8 @@ class Simulator:
         return SimpleNamespace(set_state=lambda state: setattr(self, "_state", state))
 
     def get_sensor_observations(self) -> dict[str, np.ndarray]:
+        self.fake.renders += 1
         height, width = self._sensors[0].resolution
-        assert all(isinstance(value, float) for sensor in self._sensors for value in sensor.position)
         camera = Camera.from_degrees(width, height, self._sensors[0].hfov, 1.0)
         w, x, y, z = self._state.rotation.components
         px, py, pz = (float(value) for value in self._state.position)
@@ -108,7 +118,8 @@ class Simulator:
         image = self._renderer.render(camera, pose)
         semantic = np.where(image.instance > 0, image.instance + FIRST_ID, 0).astype(np.uint32)
         colour = np.concatenate([image.rgb, np.full((height, width, 1), 255, np.uint8)], axis=-1)
-        return {"color": colour, "depth": image.depth, "semantic": semantic * (0 if self.fake.blind else 1)}
+        seen = {COLOR: colour, DEPTH: image.depth, SEMANTIC: semantic * (0 if self.fake.blind else 1)}
+        return {sensor.uuid: seen[sensor.sensor_type] for sensor in self._sensors}
 
     def close(self) -> None:
         pass
@@ -141,9 +152,12 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Fake:
     module, numbers = ModuleType("habitat_sim"), ModuleType("quaternion")
     contents = {
         "Simulator": type("FakeSimulator", (Simulator,), {"fake": fake}),
-        "SimulatorConfiguration": plain(gpu_device_id=0),
-        "CameraSensorSpec": plain(),
-        "SensorType": SimpleNamespace(COLOR=1, DEPTH=2, SEMANTIC=3),
+        "__version__": "0.3.3",
+        "SimulatorConfiguration": plain(gpu_device_id=0, enable_physics=False, pbr_image_based_lighting=True),
+        "CameraSensorSpec": plain(
+            position=[0.0, 0.0, 0.0], orientation=[0.0, 0.0, 0.0], hfov=90.0, sensor_type=COLOR
+        ),
+        "SensorType": SimpleNamespace(COLOR=COLOR, DEPTH=DEPTH, SEMANTIC=SEMANTIC),
         "Configuration": lambda simulator, agents: SimpleNamespace(parts=(simulator, agents)),
         "AgentState": lambda position, rotation: SimpleNamespace(position=position, rotation=rotation),
         "NavMeshSettings": plain(set_defaults=lambda self: None, cell_height=0.2),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from imagination.errors import UserError
 from imagination.geometry.camera import Camera
@@ -18,6 +19,7 @@ from tests.scene_sources.fake_habitat import FLOOR, Fake, install
 from tests.scene_sources.sources import source
 
 from imagination_habitat import frames  # isort: skip  # a plugin of this checkout: `sources` has made it importable
+from imagination_habitat.doctor import TRIAL  # isort: skip
 from imagination_habitat.simulator import SIMULATORS  # isort: skip
 
 SCENES = "data.scenes.scenes={train: [a, b], val: [c], test: [d]}"
@@ -51,8 +53,6 @@ def test_a_robot_that_looks_along_x_has_habitats_camera_turned_to_the_right() ->
 
 @given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1))
 def test_quaternions_are_those_of_scipy(numbers: list[float]) -> None:
-    from scipy.spatial.transform import Rotation
-
     rotation = Rotation.from_quat(numbers)
     x, y, z, w = rotation.as_quat()
     ours = np.array(frames.quaternion(rotation.as_matrix()))
@@ -82,7 +82,7 @@ def test_rows_of_the_top_down_view_run_against_y() -> None:
 
 def test_images_are_those_of_the_room(habitat: SceneSource, fake: Fake) -> None:
     scene = habitat.load("a")
-    assert scene.floor_height == pytest.approx(FLOOR + 0.05)
+    assert scene.floor_height == pytest.approx(FLOOR)  # the navmesh lies 0.05 above it
     ours, theirs = Renderer(fake.room.mesh, fake.room.lighting), renderer_of(scene)
     camera = Camera.from_degrees(40, 32, 70.0, 1.0, pitch=15.0)
     for x, y, theta in ((1.0, 2.0, 0.0), (1.3, 1.6, 2.0), (0.6, 2.2, -1.0)):
@@ -123,6 +123,11 @@ def test_without_the_simulator_it_says_how_to_get_it(tmp_path: Path, monkeypatch
         source(tmp_path, "data/scenes=habitat", SCENES, "data.scenes.dataset=missing.json")
     with pytest.raises(UserError, match="split train: has no scenes"):
         source(tmp_path, "data/scenes=habitat").scenes("train")
+
+
+def test_the_doctors_trial_renders(fake: Fake, capsys: pytest.CaptureFixture[str]) -> None:
+    exec(TRIAL)
+    assert capsys.readouterr().out == "usable 0.3.3\n" and fake.renders == 1
 
 
 @pytest.mark.skipif(find_spec("habitat_sim") is None, reason="habitat-sim is not installed (conda only)")

@@ -3,8 +3,10 @@
 import dataclasses
 import pickle
 from collections.abc import Iterator
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -16,8 +18,11 @@ from imagination.ground_truth.maps import GroundTruthSpec, build
 from imagination.scenes.renderer import Image, renderer_of
 from imagination.scenes.scene import Scene, SceneSource
 from imagination.views.poses import sample_poses
+from tests.conftest import ROOT
 from tests.scene_sources.fake_habitat import install
 from tests.scene_sources.sources import NEEDS, SOURCES, configured
+
+EXAMPLE = "imagination_example/rooms.py", "conf/data/scenes/box_rooms.yaml"
 
 CAMERA = Camera.from_degrees(48, 48, 90.0, 1.25)
 
@@ -42,6 +47,26 @@ def looks(scene: Scene) -> list[tuple[Pose, Image]]:
     renderer = renderer_of(scene)
     poses = sample_poses(scene.free_space, 24, np.random.default_rng(5))
     return [(pose, renderer.render(CAMERA, CAMERA.to_world(pose, scene.floor_height))) for pose in poses]
+
+
+def test_the_smallest_source_is_as_short_as_the_docs_say() -> None:
+    files = [ROOT / "tests/plugins_example" / path for path in EXAMPLE]
+    lines = sum(len(path.read_text().splitlines()) for path in files)
+    text = (ROOT / "docs" / "scene-sources.md").read_text()
+    assert lines < 60 and f"{lines} lines with its config" in text
+
+
+def test_the_docs_pictures_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = spec_from_file_location("scene_sources", ROOT / "docs" / "scene_sources.py")
+    assert spec is not None and spec.loader is not None
+    page = module_from_spec(spec)
+    spec.loader.exec_module(page)
+    monkeypatch.setattr(page, "PICTURES", tmp_path)
+    page.main(["box_rooms"])
+    picture = cv2.imread(str(tmp_path / "source-box_rooms.png"))
+    assert picture is not None and picture.std() > 10
+    text = (ROOT / "docs" / "scene-sources.md").read_text()
+    assert all(f"(pictures/source-{name}.png)" in text for name in SOURCES)
 
 
 def points_of(pose: Pose, image: Image, scene: Scene) -> np.ndarray:

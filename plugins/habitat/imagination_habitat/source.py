@@ -16,7 +16,7 @@ from imagination.geometry.camera import Camera
 from imagination.scenes.scene import SPLITS, FreeSpace, Lighting, Mesh, Scene, SceneObject, Split
 from imagination.views.poses import sample_poses
 from imagination_habitat.frames import free_grid, upright
-from imagination_habitat.simulator import SIMULATORS, HabitatRenderer, make_navmesh
+from imagination_habitat.simulator import CELL_HEIGHT, SIMULATORS, HabitatRenderer, make_navmesh
 
 STOREY = 1.5
 """Least height between two floors, metres."""
@@ -30,7 +30,7 @@ UNNAMED = ("", "unknown", "Unknown", "void", "unlabeled")
 
 
 class HabitatScenes:
-    """Scenes of one Habitat data set; the lowest floor with enough floor, or the one that is asked for.
+    """Scenes of one Habitat data set. Of several floors one is used: where most of the navmesh lies.
 
     Args:
         dataset: a scene data set config (`.scene_dataset_config.json`); empty: scenes are files.
@@ -89,8 +89,9 @@ class HabitatScenes:
         check_choice("scene", scene, [name for names in self._scenes.values() for name in names])
         simulator = SIMULATORS.show(self._dataset, scene, self._camera, self._device)
         make_navmesh(simulator, self._robot_radius, scene)
-        floor = floor_height(simulator.pathfinder)
-        free = self._free_space(simulator.pathfinder, floor, scene)
+        level = navmesh_height(simulator.pathfinder)
+        floor = level - CELL_HEIGHT  # on which the navmesh lies
+        free = self._free_space(simulator.pathfinder, level, scene)
         objects, rows = self._objects(simulator, floor)
         if not objects:
             raise UserError(
@@ -111,11 +112,11 @@ class HabitatScenes:
         text = json.dumps([self.name, self._dataset, scene, files, repr(settings), code_version()])
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def _free_space(self, pathfinder: Any, floor: float, scene: str) -> FreeSpace:
-        view = np.asarray(pathfinder.get_topdown_view(self._resolution, floor), bool)
+    def _free_space(self, pathfinder: Any, level: float, scene: str) -> FreeSpace:
+        view = np.asarray(pathfinder.get_topdown_view(self._resolution, level), bool)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(view.astype(np.uint8), connectivity=4)
         if len(stats) == 1:
-            raise UserError(f"habitat: scene {scene} has no navigable floor at {floor:.2f} m")
+            raise UserError(f"habitat: scene {scene} has no navigable floor at {level:.2f} m")
         largest = labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
         return FreeSpace(*free_grid(largest, pathfinder.get_bounds()[0], self._resolution))
 
@@ -148,7 +149,7 @@ class HabitatScenes:
         )
 
 
-def floor_height(pathfinder: Any) -> float:
+def navmesh_height(pathfinder: Any) -> float:
     """The height on which most navigable points lie, metres, of floors a storey apart.
 
     Raises:

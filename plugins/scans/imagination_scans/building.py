@@ -25,9 +25,15 @@ BELOW = 0.3
 """What lies so far under the floor or over the ceiling still belongs to it, metres."""
 
 
+GREY = 180
+"""Of each channel where the scan has no colour."""
+MAX_ID = 2**31 - 1
+"""Ids of objects are less."""
+
+
 @dataclass(frozen=True)
 class ScannedObject:
-    """An object as annotated: its id in the building's mesh, its name, the corners of its box if it has one."""
+    """An object as annotated: its id in the mesh (from 1), its name, the corners of its box if it has one."""
 
     id: int
     name: str
@@ -48,11 +54,10 @@ class Building:
 
 
 class Floor(NamedTuple):
-    """Heights of a floor and its ceiling, and how far its mesh reaches: x0, y0, x1, y1, metres."""
+    """Heights of a floor and its ceiling, metres."""
 
     height: float
     ceiling: float
-    reach: tuple[float, float, float, float]
 
 
 def check_building(building: Building, where: str) -> None:
@@ -66,7 +71,10 @@ def check_building(building: Building, where: str) -> None:
     if not building.objects:
         raise UserError(f"{where}: lists no objects, expected some with names; its semantics are empty")
     seen = set(np.unique(building.face_object).tolist())
-    if not any(thing.id in seen for thing in building.objects):
+    ids = [thing.id for thing in building.objects]
+    if min(ids) < 1 or len(set(ids)) < len(ids):
+        raise UserError(f"{where}: ids of its objects are below 1 or occur twice: {sorted(ids)[:5]} …")
+    if not seen & set(ids):
         raise UserError(
             f"{where}: none of its {len(building.objects)} objects has a face in the mesh (ids there: "
             f"{sorted(seen)[:5]} …); mesh and annotation do not belong together"
@@ -136,14 +144,13 @@ def _floor(
     down: dict[int, float],
     heights: Sequence[float],
 ) -> Floor:
-    """A floor with its exact height (the median of its faces'), its ceiling and its reach."""
+    """A floor with its exact height (the median of its faces') and its ceiling."""
     above = min((other for other in heights if other > height), default=height + 4.5)
     ceilings = {b: size for b, size in down.items() if height + 1.8 < b * BIN < above}
     ceiling = max(ceilings, key=lambda b: ceilings[b]) * BIN if ceilings else min(height + CEILING, above)
     near = corners[np.abs(z - height) < BIN]
     level = float(np.median(near[..., 2])) if len(near) else height
-    low, high = near[..., :2].min(axis=(0, 1)).tolist(), near[..., :2].max(axis=(0, 1)).tolist()
-    return Floor(level, float(ceiling), (low[0], low[1], high[0], high[1]))
+    return Floor(level, float(ceiling))
 
 
 def cut(building: Building, floor: Floor) -> tuple[Building, tuple[ScannedObject, ...]]:
@@ -183,13 +190,12 @@ def _middles(
 
 def mesh_of(building: Building) -> Mesh:
     """The building as the renderer takes it; instance ids are rows of `objects`, from 1."""
-    lookup = np.zeros(int(max(building.face_object.max(), max(t.id for t in building.objects))) + 1, np.int32)
-    for number, thing in enumerate(building.objects, start=1):
-        lookup[thing.id] = number
+    instance = {thing.id: number for number, thing in enumerate(building.objects, start=1)}
+    ids, rows = np.unique(building.face_object, return_inverse=True)
     return Mesh(
         building.vertices,
         building.faces,
-        lookup[building.face_object],
+        np.array([instance.get(id, 0) for id in ids.tolist()], np.int32)[rows],
         building.face_material,
         building.face_uv,
         building.materials,

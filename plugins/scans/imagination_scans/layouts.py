@@ -1,7 +1,8 @@
 """What every data set's layout offers, and what is the same in several."""
 
+import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -9,13 +10,19 @@ import numpy as np
 
 from imagination.errors import UserError
 from imagination.scenes.scene import SPLITS, Split
-from imagination_scans.building import Building
+from imagination_scans.building import GREY, MAX_ID, Building
 
 
 class Layout(Protocol):
-    """How a data set lies on disk. Plain values only inside, so that worker processes receive a copy of it."""
+    """How a data set lies on disk. Plain values only inside, so that worker processes receive a copy of it.
+
+    Attributes:
+        name: of the data set.
+        expected: what a right folder holds.
+    """
 
     name: str
+    expected: str
 
     def buildings(self, folder: Path) -> dict[str, Path]:
         """Each building's folder or main file, by its name.
@@ -50,6 +57,24 @@ def split_lists(folder: Path, pattern: str) -> dict[str, Split]:
     return found
 
 
+def lot(name: str) -> float:
+    """A number in [0, 1) that a building's own name decides: where it falls, more buildings move no other."""
+    return hashlib.sha256(name.encode()).digest()[0] / 256
+
+
+def check_id(id: int, taken: Container[int], least: int = 0) -> int:
+    """An object's id as a file has it.
+
+    Raises:
+        ValueError: if it is out of range, as ids that mean no object are, or another object has it.
+    """
+    if not least <= id < MAX_ID:
+        raise ValueError(f"the id {id} is not in [{least}, {MAX_ID})")
+    if id in taken:
+        raise ValueError(f"the id {id} occurs twice")
+    return id
+
+
 def first_of(folder: Path, *names: str) -> Path:
     """The first of several files that exists.
 
@@ -73,6 +98,7 @@ def read_ply(path: Path) -> Any:
     except ImportError as error:
         raise UserError("scanned buildings need plyfile: pip install 'imagination[scans]'") from error
     try:
+        _check_counts(path)
         for corners in (3, 4):
             known = {"face": {"vertex_indices": corners, "vertex_index": corners}}
             try:
@@ -86,11 +112,44 @@ def read_ply(path: Path) -> Any:
         raise UserError(f"{path}: cannot be read as PLY: {error}") from error
 
 
-def ply_columns(ply: Any, path: Path, element: str, *choices: Sequence[str]) -> list[np.ndarray]:
-    """Columns of an element, each by the first of its possible names that is there.
+def _check_counts(path: Path) -> None:
+    """Refuse elements that cannot fit into the file before memory is set aside for them: a value takes a byte or more.
 
     Raises:
-        UserError: if one is missing.
+        UserError: with the element's line.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        count, values, announced = 0, 0, 0
+        for number, line in enumerate(iter(lambda: file.readline(4096), b""), start=1):
+            words = line.split()
+            if words[:1] == [b"element"] and len(words) == 3 and words[2].isdigit():
+                count, values, announced = int(words[2][:18]), 0, number
+            elif words[:1] == [b"property"]:
+                values += 1
+            elif words[:1] not in ([b"ply"], [b"format"], [b"comment"], [b"obj_info"], []):
+                return
+            if count * max(values, 1) > size:
+                raise UserError(
+                    f"{path}, line {announced}: announces {count} elements of {max(values, 1)} or more bytes, but the "
+                    f"file has {size} bytes; it is truncated or damaged"
+                )
+
+
+def ply_columns(
+    ply: Any, path: Path, element: str, *choices: Sequence[str], kinds: str = "iuf", lists: bool = False
+) -> list[np.ndarray]:
+    """Columns of an element, each by the first of its possible names that is there.
+
+    Args:
+        ply, path: the file read, and its name.
+        element: "vertex" or "face".
+        choices: possible names of each column.
+        kinds: of numbers that are allowed: i and u are integers, f is not.
+        lists: the columns are lists of such numbers.
+
+    Raises:
+        UserError: if one is missing or of another kind.
     """
     if element not in ply:
         raise UserError(f"{path}: has no element {element!r}")
@@ -102,6 +161,11 @@ def ply_columns(ply: Any, path: Path, element: str, *choices: Sequence[str]) -> 
             raise UserError(
                 f"{path}: its {element} has no {' or '.join(names)} (it has {', '.join(data.dtype.names)})"
             )
+        found = ply[element].ply_property(name)
+        kind = np.dtype(found.val_dtype).kind
+        if hasattr(found, "len_dtype") != lists or kind not in kinds:
+            wanted = f"{'lists of ' if lists else ''}{'numbers' if 'f' in kinds else 'integers'}"
+            raise UserError(f"{path}: its {element} has '{found}', expected {wanted}")
         columns.append(data[name])
     return columns
 
@@ -114,7 +178,8 @@ def ply_mesh(ply: Any, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     """
     x, y, z = ply_columns(ply, path, "vertex", ["x"], ["y"], ["z"])
     vertices = np.stack([x, y, z], axis=-1).astype(np.float32)
-    (corners,) = ply_columns(ply, path, "face", ["vertex_indices", "vertex_index"])
+    indices = ["vertex_indices", "vertex_index"]
+    (corners,) = ply_columns(ply, path, "face", indices, kinds="iu", lists=True)
     if corners.dtype == object:
         sizes = np.array([len(polygon) for polygon in corners])
         if len(sizes) and sizes.min() < 3:
@@ -137,11 +202,10 @@ def ply_mesh(ply: Any, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
         )
     if not np.isfinite(vertices).all():
         raise UserError(f"{path}: has vertices that are not finite")
-    names = ply["vertex"].data.dtype.names
-    if {"red", "green", "blue"} <= set(names):
-        rgb = np.stack([ply["vertex"].data[c] for c in ("red", "green", "blue")], axis=-1).astype(np.uint8)
-    else:
-        rgb = np.full((len(vertices), 3), 180, np.uint8)
+    rgb = np.full((len(vertices), 3), GREY, np.uint8)
+    if {"red", "green", "blue"} <= set(ply["vertex"].data.dtype.names):
+        channels = ply_columns(ply, path, "vertex", ["red"], ["green"], ["blue"], kinds="iu")
+        rgb = np.stack(channels, axis=-1).astype(np.uint8)
     return vertices, faces, owner, rgb
 
 
@@ -163,3 +227,5 @@ def read_json(path: Path) -> Any:
         raise UserError(f"{path}: there is no such file") from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: is no JSON: {error}") from error
+    except RecursionError as error:
+        raise UserError(f"{path}: is nested too deeply for its kind of file") from error

@@ -3,42 +3,64 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from imagination.errors import UserError
 from imagination.scenes.scene import Split
 from imagination_scans.building import Building, ScannedObject, check_building, coloured
-from imagination_scans.layouts import face_colours, first_of, ply_columns, ply_mesh, read_ply, split_lists
+from imagination_scans.layouts import (
+    check_id,
+    face_colours,
+    first_of,
+    ply_columns,
+    ply_mesh,
+    read_ply,
+    split_lists,
+)
 
 VERSIONS = ("1.0", "1.1")
-COUNTS = {"O": 8, "C": 9, "R": 10, "L": 12}
+COUNTS = {"E": 7, "O": 8, "C": 9, "R": 10, "L": 12}
 """Records that the header counts, and where in it."""
-LENGTHS = {"H": 24, "L": 7, "R": 16, "C": 6, "O": 16}
+LENGTHS = {"H": 24, "L": 7, "R": 16, "C": 6, "O": 16, "E": 14}
 """Least number of words of each record."""
+SEGMENT = ("material_id", "face_material")
+"""What a face's column with the id of its segment is called."""
+OBJECT = ("face_segment", "segment_id", "objectid", "object_id")
+"""What a face's column with the index of its object is called."""
 SPLIT_LISTS = Path(__file__).parent / "splits"
 
 
 @dataclass
 class House:
-    """Records of a `.house` file that are used here: mpcat40 names of categories, objects with box and region."""
+    """Records of a `.house` file that are used here.
+
+    Attributes:
+        categories: mpcat40 names.
+        objects: category and box of each.
+        segments: the object of each segment's id, -1 for none.
+    """
 
     categories: dict[int, str] = field(default_factory=dict)
     objects: dict[int, tuple[int, np.ndarray]] = field(default_factory=dict)
+    segments: dict[int, int] = field(default_factory=dict)
 
 
 class Matterport3D:
     """`<id>/house_segmentations/<id>.house` and `<id>.ply`, or Habitat's `<id>/<id>.house` and `<id>_semantic.ply`."""
 
     name = "matterport3d"
+    expected = (
+        "<id>/house_segmentations/<id>.house and <id>.ply as in the release (v1/scans), or <id>/<id>.house and "
+        "<id>_semantic.ply as for Habitat"
+    )
 
     def buildings(self, folder: Path) -> dict[str, Path]:
         found = {path.stem: path for path in sorted(folder.rglob("*.house"))}
         if not found:
             raise UserError(
-                f"matterport3d: found no .house file in {folder.resolve()}; expected <id>/house_segmentations/"
-                "<id>.house and <id>.ply as in the release (v1/scans), or <id>/<id>.house and <id>_semantic.ply as for "
-                "Habitat"
+                f"matterport3d: found no .house file in {folder.resolve()}; expected {self.expected}"
             )
         return found
 
@@ -55,15 +77,14 @@ class Matterport3D:
         house, path = read_house(building), self._mesh(building)
         ply = read_ply(path)
         vertices, faces, owner, rgb = ply_mesh(ply, path)
-        names = (["face_segment", "segment_id", "objectid", "object_id"],)
-        (instance,) = ply_columns(ply, path, "face", *names)
+        instance = _objects_of_faces(ply, path, house)
         materials, face_material, face_uv = coloured(face_colours(rgb, faces))
         # objects count from 0 here, 0 is no object in a building
         objects = tuple(
             ScannedObject(number + 1, house.categories.get(category, "unlabeled"), corners)
             for number, (category, corners) in sorted(house.objects.items())
         )
-        face_object = np.asarray(instance, np.int64)[owner] + 1
+        face_object = instance[owner] + 1
         known = np.isin(face_object, [thing.id for thing in objects])
         result = Building(
             vertices,
@@ -79,6 +100,20 @@ class Matterport3D:
 
     def _mesh(self, building: Path) -> Path:
         return first_of(building.parent, f"{building.stem}.ply", f"{building.stem}_semantic.ply")
+
+
+def _objects_of_faces(ply: Any, path: Path, house: House) -> np.ndarray:
+    """The index of each polygon's object: (m,), -1 for none.
+
+    As the authors' viewer has it (niessner/Matterport, mpview/mp.cpp), a face's material is its segment, whose record E
+    names the object. Habitat's export, and files without such records, name the object itself.
+    """
+    if house.segments and set(SEGMENT) & set(ply["face"].data.dtype.names):
+        (segment,) = ply_columns(ply, path, "face", SEGMENT, kinds="iu")
+        ids, rows = np.unique(segment, return_inverse=True)
+        return np.array([house.segments.get(id, -1) for id in ids.tolist()], np.int64)[rows]
+    (instance,) = ply_columns(ply, path, "face", OBJECT, kinds="iu")
+    return np.asarray(instance, np.int64)
 
 
 def read_house(path: Path) -> House:
@@ -112,7 +147,7 @@ def read_house(path: Path) -> House:
                 _take(house, words)
         except ValueError as error:
             raise UserError(
-                f"{path}, line {number}: got {line[:60]!r}, expected numbers ({error})"
+                f"{path}, line {number}: got {line[:60]!r}, expected numbers, each id once ({error})"
             ) from error
     if not expected:
         raise UserError(f"{path}: has no header, expected a line that begins with H")
@@ -128,12 +163,15 @@ def read_house(path: Path) -> House:
 def _take(house: House, words: list[str]) -> None:
     match words[0]:
         case "C":
-            house.categories[int(words[1])] = words[5].replace("#", " ")
+            house.categories[check_id(int(words[1]), house.categories)] = words[5].replace("#", " ")
         case "O":
             numbers = np.array([float(word) for word in words[4:16]])
             if not np.isfinite(numbers).all():
                 raise ValueError("a box that is not finite")
-            house.objects[int(words[1])] = int(words[3]), box_corners(*numbers.reshape(4, 3))
+            id = check_id(int(words[1]), house.objects)
+            house.objects[id] = int(words[3]), box_corners(*numbers.reshape(4, 3))
+        case "E":
+            house.segments[check_id(int(words[3]), house.segments)] = int(words[2])
 
 
 def box_corners(centre: np.ndarray, first: np.ndarray, second: np.ndarray, radii: np.ndarray) -> np.ndarray:

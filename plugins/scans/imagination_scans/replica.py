@@ -1,6 +1,7 @@
 """Replica in its export for Habitat: `habitat/mesh_semantic.ply` with object ids in its faces, `info_semantic.json`."""
 
 from collections.abc import Mapping, Sequence
+from operator import index
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,10 @@ from imagination.errors import UserError
 from imagination.scenes.scene import Split
 from imagination_scans.building import Building, ScannedObject, check_building, coloured
 from imagination_scans.layouts import (
+    check_id,
     face_colours,
     first_of,
+    lot,
     ply_columns,
     ply_mesh,
     read_json,
@@ -25,22 +28,23 @@ class Replica:
     """`<scene>/habitat/info_semantic.json` and `mesh_semantic.ply`."""
 
     name = "replica"
+    expected = f"<scene>/habitat/{INFO} and mesh_semantic.ply, as the release has them"
 
     def buildings(self, folder: Path) -> dict[str, Path]:
         found = {path.parent.parent.name: path for path in sorted(folder.rglob(f"habitat/{INFO}"))}
         if not found:
             raise UserError(
-                f"replica: found no habitat/{INFO} in {folder.resolve()}; expected <scene>/habitat/{INFO} and "
-                "mesh_semantic.ply, as the release has them"
+                f"replica: found no habitat/{INFO} in {folder.resolve()}; expected {self.expected}"
             )
         return found
 
     def splits(self, folder: Path, names: Sequence[str]) -> Mapping[str, Split]:
-        """Lists replica_train.txt, … of the folder. The data set has no official ones: else every fourth is for test,
-        every fourth for validation, in alphabetical order."""
+        """Lists replica_train.txt, … of the folder. The data set has no official ones: else a hash of each name makes
+        about a quarter test and a quarter validation. The FRL apartments are one apartment, furnished anew."""
         given = split_lists(folder, "replica_{split}.txt")
-        turns: tuple[Split, ...] = ("train", "test", "train", "val")
-        return given or {name: turns[number % 4] for number, name in enumerate(sorted(names))}
+        quarters: tuple[Split, ...] = ("test", "val", "train", "train")
+        one = {name: "frl_apartment" if name.startswith("frl_apartment") else name for name in names}
+        return given or {name: quarters[int(4 * lot(same))] for name, same in one.items()}
 
     def files(self, building: Path) -> list[Path]:
         return [building, first_of(building.parent, "mesh_semantic.ply")]
@@ -49,7 +53,7 @@ class Replica:
         objects, path = read_objects(building), self.files(building)[1]
         ply = read_ply(path)
         vertices, faces, owner, rgb = ply_mesh(ply, path)
-        (instance,) = ply_columns(ply, path, "face", ["object_id", "objectid"])
+        (instance,) = ply_columns(ply, path, "face", ["object_id", "objectid"], kinds="iu")
         materials, face_material, face_uv = coloured(face_colours(rgb, faces))
         face_object = np.asarray(instance, np.int64)[owner] + 1
         known = np.isin(face_object, [thing.id for thing in objects])
@@ -68,16 +72,17 @@ def read_objects(path: Path) -> tuple[ScannedObject, ...]:
     info = read_json(path)
     if not isinstance(info, dict) or not isinstance(info.get("objects"), list):
         raise UserError(f"{path}: has no list 'objects', expected Replica's {INFO}")
-    objects = []
+    objects: dict[int, ScannedObject] = {}
     for number, entry in enumerate(info["objects"]):
         try:
             corners = _corners(entry["oriented_bbox"]) if "oriented_bbox" in entry else None
-            objects.append(ScannedObject(int(entry["id"]) + 1, str(entry["class_name"]), corners))
-        except (KeyError, TypeError, ValueError) as error:
+            id = check_id(index(entry["id"]), objects)
+            objects[id] = ScannedObject(id + 1, str(entry["class_name"]), corners)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise UserError(
                 f"{path}: objects[{number}] is broken ({error!r}), expected id, class_name and oriented_bbox"
             ) from error
-    return tuple(objects)
+    return tuple(objects.values())
 
 
 def _corners(box: Mapping[str, Mapping[str, Sequence[float]]]) -> np.ndarray:

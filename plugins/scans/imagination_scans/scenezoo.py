@@ -1,4 +1,4 @@
-"""What the library scenezoo reads: ScanNet, ScanNet++, ARKitScenes, MultiScan, 3RScan, Structured3D and others."""
+"""ScanNet, as the library scenezoo reads it; its other data sets have the same interface."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ import numpy as np
 
 from imagination.errors import UserError
 from imagination.scenes.scene import SPLITS, Split
-from imagination_scans.building import Building, ScannedObject, check_building, coloured
+from imagination_scans.building import GREY, Building, ScannedObject, check_building, coloured
 from imagination_scans.layouts import face_colours, split_lists
 
 ENDINGS = (".ply", ".json", ".txt", ".obj", ".glb")
@@ -29,6 +29,8 @@ class SceneZoo:
     lists: str
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
+    expected = "the layout of the release (scenezoo's documentation shows it for each data set)"
+
     @property
     def name(self) -> str:
         return self.dataset
@@ -39,7 +41,7 @@ class SceneZoo:
         if not folders:
             raise UserError(
                 f"{self.dataset}: found no folder in {folder.resolve()} that is called like one of its {len(known)} "
-                "samples; expected the layout of the release (scenezoo's documentation shows it for each data set)"
+                f"samples; expected {self.expected}"
             )
         return folders
 
@@ -69,7 +71,7 @@ class SceneZoo:
         of_face = labels.labels if labels.domain == "face" else labels.labels[faces].max(axis=1)
         if len(of_face) != len(faces):
             raise UserError(f"{building}: got {len(of_face)} labels for {len(faces)} faces")
-        rgb = np.full((len(vertices), 3), 180, np.uint8)
+        rgb = np.full((len(vertices), 3), GREY, np.uint8)
         if mesh.has_vertex_colors():
             rgb = np.round(np.asarray(mesh.vertex_colors) * 255).astype(np.uint8)
         materials, face_material, face_uv = coloured(face_colours(rgb, faces))

@@ -12,6 +12,7 @@ import numpy as np
 from imagination.cache import Cache
 from imagination.categories import CategoryTable
 from imagination.errors import UserError, check_choice
+from imagination.ground_truth.maps import needed_extent
 from imagination.scenes.free_space import free_space
 from imagination.scenes.scene import SPLITS, Credit, Lighting, Scene, SceneObject, Split
 from imagination_scans.building import Building, Floor, ScannedObject, cut, floors_of, mesh_of, upright_box
@@ -28,12 +29,12 @@ class ScannedBuildings:
 
     Args:
         layout: how the data set lies on disk.
-        folder: that the user downloaded.
+        folder: that the user downloaded; nobody else can say which.
         names: for each category of the table, the data set's names that belong to it.
         categories: the category table.
         robot_radius: metres.
         clearance: heights above the floor between which the robot touches things, metres; scanned floors are uneven.
-        largest: side of the global map, metres; larger floors are left out with a message.
+        largest: side of the global map, metres; floors that do not fit in it are left out with a message.
         cache: keeps what was found out about buildings.
         licence: under which the data set is used.
 
@@ -44,7 +45,7 @@ class ScannedBuildings:
     def __init__(
         self,
         layout: Layout,
-        folder: str,
+        folder: str | None,
         names: Mapping[str, Sequence[str]],
         categories: CategoryTable,
         robot_radius: float,
@@ -54,6 +55,8 @@ class ScannedBuildings:
         licence: str,
     ) -> None:
         self.name = layout.name
+        if not folder:
+            raise UserError(f"data.scenes.folder: got none, expected one with {layout.expected}")
         self._layout, self._folder, self._cache = layout, Path(folder), cache
         self._robot_radius, self._clearance, self._largest = robot_radius, tuple(clearance), largest
         self._licence = licence
@@ -63,13 +66,17 @@ class ScannedBuildings:
             self._category_of |= dict.fromkeys(labels, category)
         if not self._folder.is_dir():
             raise UserError(
-                f"{self.name}: there is no folder {self._folder.resolve()}; set data.scenes.folder"
+                f"{self.name}: there is no folder {self._folder.resolve()}; set data.scenes.folder to one with "
+                f"{layout.expected}"
             )
         self._buildings = layout.buildings(self._folder)
         self._split_of = layout.splits(self._folder, list(self._buildings))
 
     def scenes(self, split: Split) -> list[str]:
-        """Floors of a split's buildings that fit into the map; looks into each building once, then into the cache."""
+        """Floors of a split's buildings that can be scenes and fit into the map; the others are told.
+
+        Looks into each building once, then into the cache.
+        """
         check_choice("split", split, SPLITS)
         chosen = [name for name in self._buildings if self._split_of.get(name) == split]
         names = [f"{name}_{floor}" for name in chosen for floor in self._usable(name)]
@@ -88,18 +95,8 @@ class ScannedBuildings:
             UserError: if there is no such floor, its files are malformed or nothing on it is free.
         """
         name, number = self._parse(scene)
-        whole = _building(self._layout, self._buildings[name])
-        floor = self._floors(name)[number]
-        part, things = cut(whole, floor)
-        if not things:
-            raise UserError(
-                f"scene {scene}: no object of the annotation lies on this floor; its semantics are empty"
-            )
-        mesh = mesh_of(part)
-        objects = tuple(self._object(number, thing, part) for number, thing in enumerate(things, start=1))
-        low, high = self._clearance
-        free = free_space(mesh, floor.height, self._robot_radius, clearance=(low, high))
-        return Scene(scene, mesh, BRIGHT, objects, free, floor.height, floor.ceiling)
+        floor, _ = self._floors(name)[number]
+        return self._scene(scene, _building(self._layout, self._buildings[name]), floor)
 
     def fingerprint(self, scene: str) -> str:
         """Changes with the building's files (their size and time), the robot, the names and this code."""
@@ -132,22 +129,38 @@ class ScannedBuildings:
             instance, thing.name, self._category_of.get(thing.name), box, f"{self.name}/{thing.id}"
         )
 
+    def _scene(self, scene: str, building: Building, floor: Floor) -> Scene:
+        """A floor as a scene.
+
+        Raises:
+            UserError: if it has no objects or nothing of it is free.
+        """
+        part, things = cut(building, floor)
+        if not things:
+            raise UserError(
+                f"scene {scene}: no object of the annotation lies on this floor; its semantics are empty"
+            )
+        mesh = mesh_of(part)
+        objects = tuple(self._object(number, thing, part) for number, thing in enumerate(things, start=1))
+        low, high = self._clearance
+        try:
+            free = free_space(mesh, floor.height, self._robot_radius, clearance=(low, high))
+        except UserError as error:
+            raise UserError(f"scene {scene} of {self._folder}: {error}") from error
+        return Scene(scene, mesh, BRIGHT, objects, free, floor.height, floor.ceiling)
+
     def _usable(self, name: str) -> list[int]:
-        """Numbers of the floors that fit into the map; the others are told."""
+        """Numbers of the floors that can be scenes; the others are told."""
         usable = []
-        for number, floor in enumerate(self._floors(name)):
-            x0, y0, x1, y1 = floor.reach
-            if max(x1 - x0, y1 - y0) > self._largest:
-                log.warning(
-                    f"{self.name}: {name}_{number} is left out: it measures {x1 - x0:.1f} x {y1 - y0:.1f} m, more than "
-                    f"the global map ({self._largest} m)"
-                )
+        for number, (_, problem) in enumerate(self._floors(name)):
+            if problem:
+                log.warning(f"{self.name}: left out: {problem}")
             else:
                 usable.append(number)
         return usable
 
-    def _floors(self, name: str) -> list[Floor]:
-        """Floors of a building, from the cache."""
+    def _floors(self, name: str) -> list[tuple[Floor, str]]:
+        """Floors of a building, each with why it can be no scene (empty if it can), from the cache."""
 
         def find() -> dict[str, np.ndarray]:
             building = _building(self._layout, self._buildings[name])
@@ -155,10 +168,28 @@ class ScannedBuildings:
                 floors = floors_of(building)
             except UserError as error:
                 raise UserError(f"{self._buildings[name]}: {error}") from error
-            return {"floors": np.array([(f.height, f.ceiling, *f.reach) for f in floors])}
+            problems = [self._problem(f"{name}_{number}", building, f) for number, f in enumerate(floors)]
+            return {
+                "floors": np.array([(f.height, f.ceiling) for f in floors]),
+                "problems": np.frombuffer(json.dumps(problems).encode(), np.uint8),
+            }
 
-        rows = self._cache.get_or_build("buildings", {"building": self._key(name)}, find)["floors"].tolist()
-        return [Floor(row[0], row[1], (row[2], row[3], row[4], row[5])) for row in rows]
+        settings = [self._robot_radius, *self._clearance, self._largest]
+        found = self._cache.get_or_build("buildings", {"building": self._key(name), "floors": settings}, find)
+        problems: list[str] = json.loads(found["problems"].tobytes())
+        return [
+            (Floor(*row), problem) for row, problem in zip(found["floors"].tolist(), problems, strict=True)
+        ]
+
+    def _problem(self, scene: str, building: Building, floor: Floor) -> str:
+        """Why a floor can be no scene; empty if it can."""
+        try:
+            needed = needed_extent(self._scene(scene, building, floor))
+        except UserError as error:
+            return str(error)
+        if needed >= self._largest:
+            return f"scene {scene} needs a map of {needed:.1f} m, the global map has {self._largest} m"
+        return ""
 
     def _key(self, name: str) -> str:
         files = self._layout.files(self._buildings[name])
