@@ -323,6 +323,102 @@ def test_a_damaged_bag_gives_what_lies_before(tmp_path: Path, kind: str) -> None
     assert "damaged after" in told or "after its start" in told
 
 
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
+def test_a_bag_that_was_cut_off_gives_what_is_left(tmp_path: Path, kind: str) -> None:
+    """Cut in its only chunk; and a recorder that was killed before it wrote metadata.yaml."""
+    path = tmp_path / ("drive.bag" if kind == "ros1" else "drive")
+    frames = taken(60)
+    record_bag(path, frames, CAMERA, kind)
+    file = path if kind == "ros1" else next(path.glob("drive*.*"))
+    whole = file.read_bytes()
+    file.write_bytes(whole[: round(0.7 * len(whole))])
+    for place in {file, path}:
+        got, told = until_broken(bag(place))
+        assert 30 <= len(got) <= 45
+        for frame, original in zip(got, frames, strict=False):
+            assert frame.stamp == original.stamp
+            np.testing.assert_array_equal(frame.rgb, original.rgb)
+            np.testing.assert_array_equal(frame.depth, original.depth)
+            np.testing.assert_allclose(frame.camera_to_world, CAMERA.to_world(original.pose), atol=1e-9)
+        assert f"{file.name} is cut off: " in told and f" {file.stat().st_size} bytes" in told
+        assert (
+            f"damaged after {2 * len(got)} messages" in told or f"after {2 * len(got) + 1} messages" in told
+        )
+    if kind != "ros1":
+        file.write_bytes(whole)
+        (path / "metadata.yaml").unlink()
+        check(bag(path), frames)
+    file.write_bytes(whole[:100])
+    with pytest.raises(UserError, match="cannot be opened as a bag .* repair it with"):
+        bag(path)
+
+
+@pytest.mark.parametrize("compression", ["none", "bz2", "lz4", "zstd"])
+def test_a_chunk_that_was_cut_off_unpacks_as_far_as_it_goes(compression: str) -> None:
+    import bz2
+
+    import lz4.frame
+    from backports import zstd
+
+    from imagination.recordings.cut_bags import unpacked
+
+    pack = {"none": bytes, "bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd.compress}[compression]
+    data = np.random.default_rng(0).integers(0, 99, 4_000_000, dtype=np.uint8).tobytes()
+    packed = pack(data)
+    assert unpacked(compression, packed) == data
+    part = unpacked(compression, packed[: len(packed) * 7 // 10])
+    assert 0.4 * len(data) < len(part) < 0.8 * len(data) and data.startswith(part)
+
+
+def test_one_damaged_transform_costs_only_itself(tmp_path: Path) -> None:
+    import sqlite3
+
+    record_bag(tmp_path / "drive", taken(30), CAMERA, "sqlite3")
+    database = sqlite3.connect(next((tmp_path / "drive").glob("*.db3")))
+    ids = "SELECT m.id FROM messages m JOIN topics t ON m.topic_id = t.id WHERE t.name = '/tf' ORDER BY m.id"
+    (number,) = database.execute(ids).fetchall()[20]  # of frame 10
+    database.execute("UPDATE messages SET data = ? WHERE id = ?", (bytes([0, 1, 0, 0]) + b"\xff" * 4, number))
+    database.commit()
+    database.close()
+    recording = bag(tmp_path / "drive")
+    assert len(list(Frames(recording))) == 30  # between its neighbours the pose is interpolated
+    assert recording.skipped == {"message of /tf that cannot be read": 1}
+
+
+def test_a_bag_of_before_tf2(tmp_path: Path) -> None:
+    from rosbags.typesys import get_types_from_msg
+
+    from tests.robot import ROS1
+
+    ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf/msg/tfMessage"))
+
+    def old(topics: list[Topic], _: int) -> list[Topic]:
+        make = ROS1.types["tf/msg/tfMessage"]
+        return [
+            (name, "tf/msg/tfMessage", make(transforms=message.transforms)) if "/tf" in name else topic
+            for topic in topics
+            for name, _, message in [topic]
+        ]
+
+    record_bag(tmp_path / "old.bag", taken(), CAMERA, "ros1", change=old)
+    check(bag(tmp_path / "old.bag"), taken())
+
+
+def test_frames_and_topics_that_the_user_gives(tmp_path: Path) -> None:
+    record_bag(tmp_path / "drive", taken(2), CAMERA)
+    recording = bag(tmp_path / "drive", world="/odom")
+    assert recording.world == "odom"
+    check(recording, taken(2))
+    image = "/camera/color/image_raw"
+    for role, topic, told in (
+        ("colour", "/tf", "recording.topics.colour: got /tf, which holds tf2_msgs/msg/TFMessage, expected"),
+        ("colour_info", image, "which holds sensor_msgs/msg/Image, expected sensor_msgs/msg/CameraInfo"),
+        ("odometry", image, "which holds sensor_msgs/msg/Image, expected nav_msgs/msg/Odometry"),
+    ):
+        with pytest.raises(UserError, match=told):
+            bag(tmp_path / "drive", topics=NO_TOPICS | {role: topic})
+
+
 def test_a_message_that_is_no_image_ends_it_with_its_place(tmp_path: Path) -> None:
     def shorten(topics: list[Topic], number: int) -> list[Topic]:
         for name, _, message in topics:
