@@ -44,7 +44,10 @@ def mapper_of(config: DictConfig, module: ImaginationModule, camera: RgbdCamera)
     """
     grid = None
     if config.extent is not None:
-        x, y = map(float, config.centre)
+        try:
+            x, y = map(float, config.centre)
+        except (TypeError, ValueError) as error:
+            raise UserError(f"centre: got {config.centre}, expected [x, y] in metres") from error
         grid = Grid.centred(config.extent, module.description.ego.resolution, (x, y))
     return SemanticMapper(
         module,
