@@ -168,11 +168,11 @@ class BagRecording:
             entries = [(message, message.child_frame_id, message.pose.pose)]
         for entry, child, transform in entries:
             try:
-                matrix = transform_of(transform)
+                stamp, matrix = stamp_of(entry), transform_of(transform)
             except UserError:
                 self.skipped["transform that is none"] += 1
                 continue
-            self.transforms.add(entry.header.frame_id, child, stamp_of(entry), matrix, fixed)
+            self.transforms.add(entry.header.frame_id, child, stamp, matrix, fixed)
 
     def _camera(self) -> RgbdCamera:
         colour, depth = (self._intrinsics(kind) for kind in ("colour", "depth"))

@@ -39,6 +39,8 @@ class FolderRecording:
         UserError: if a file is missing or broken.
     """
 
+    world = "map"  # no file names it
+
     def __init__(self, path: str, floor_height: float = 0.0) -> None:
         self.folder, self.floor_height = Path(path), floor_height
         self.skipped: Counter[str] = Counter()

@@ -31,6 +31,8 @@ class ScanNetRecording:
         UserError: if a folder or the intrinsics are missing or broken.
     """
 
+    world = "map"  # no file names it
+
     def __init__(self, path: str, depth_scale: float, rate: float) -> None:
         self.folder = Path(path)
         self.depth_scale = check_range("recording.depth_scale", depth_scale, 1.0, 1e6, "units a metre")

@@ -35,6 +35,8 @@ class TumRecording:
         UserError: if a list is missing, broken or empty.
     """
 
+    world = "map"  # no file names it
+
     def __init__(
         self, path: str, camera: RgbdCamera, depth_scale: float, max_difference: float, max_gap: float
     ) -> None:
