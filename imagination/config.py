@@ -132,7 +132,9 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
             _register()
             with mistakes_told():
                 if check is not None and {"-m", "--multirun"} & set(sys.argv[1:]):
-                    raise UserError(f"-m: imagination.{config_name} knows no sweeps; call it once for each value")
+                    raise UserError(
+                        f"-m: imagination.{config_name} knows no sweeps; call it once for each value"
+                    )
                 hydra.main(version_base="1.3", config_path=str(plugins.core_conf()), config_name=config_name)(
                     checked
                 )()

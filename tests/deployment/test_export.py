@@ -137,7 +137,7 @@ class Fixed(Toy):
     """Answers the same whatever it sees."""
 
     def __init__(self, answer: np.ndarray) -> None:
-        super().__init__()
+        super().__init__("chair", "bed")
         self.answer = answer
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -145,21 +145,25 @@ class Fixed(Toy):
 
 
 def test_a_comparison_by_hand() -> None:
-    """Of two views and two categories together; only the views' labels are looked at here."""
+    """Of two views, each category for itself; only the views' labels are looked at here."""
     labels = np.array([[[[1, 0], [1, 1]], [[0, 0], [0, 0]]], [[[0, 0], [0, 0]], [[1, 0], [0, 0]]]], np.bool_)
     given = [Sample(sample.observation, label) for sample, label in zip(samples(2), labels, strict=True)]
     ours = np.array([[[0.9, 0.5], [0.2, 0.7]], [[0.1, 0.2], [0.3, 0.4]]], np.float32)
     check = compare(Fixed(ours), Fixed(np.full((2, 2, 2), 0.6, np.float32)), given)
-    # ours: first view 2 of 3 and one false; second view 3 false and 1 missed
-    assert check.iou == pytest.approx(2 / 8) and check.reference_iou == pytest.approx(4 / 16)
-    assert check.difference == pytest.approx(0.5)
-    assert compare(Fixed(0 * ours), Fixed(ours), given[:1]).iou == 0.0
+    # ours, chair: first view 2 of 3 and one false, second view three false; bed: nothing, and one missed
+    assert check.iou == pytest.approx({"chair": 2 / 7, "bed": 0.0})
+    assert check.reference_iou == pytest.approx({"chair": 3 / 8, "bed": 1 / 8})
+    assert check.loss == pytest.approx(1 / 8) and check.difference == pytest.approx(0.5)
+    assert check.told() == "chair 0.2857 (PyTorch 0.3750), bed 0.0000 (PyTorch 0.1250)"
+    assert compare(Fixed(0 * ours), Fixed(ours), given[:1]).iou == {"chair": 0.0}  # no bed is there
 
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
         ([], "ckpt: got none"),
+        (["ckpt=[]"], "ckpt: got an empty list"),
+        (["ckpt=a.ckpt", "views=abc"], "views: got abc, expected a number in [1, 10000] views"),
         (["ckpt=none.ckpt"], "got none.ckpt, but there is no such file"),
         (["ckpt=a.ckpt", "format=tflite"], "format: got 'tflite', expected one of: onnx, torch_export"),
         (["ckpt=a.ckpt", "precision=int4"], "expected one of: float32, int8"),
