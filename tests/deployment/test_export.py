@@ -1,6 +1,7 @@
 """Exported units answer as PyTorch does, on real views, and run without torch."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -8,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
+import torch
 
 from imagination.checkpoints import Checkpoint
-from imagination.deployment.export import Sample, compare, export
+from imagination.deployment.export import Sample, compare, export, sample_views
 from imagination.deployment.load import load
+from imagination.deployment.torch_module import inputs
 from imagination.errors import UserError
 from imagination.mapping.module import Observation
 from imagination.mapping.semantic import SemanticMapper
@@ -173,6 +176,35 @@ def test_mistakes_get_one_message(command: Command, arguments: list[str], told: 
     done = command("export", *arguments)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert told in done.stderr
+
+
+def overfit(path: Path, steps: int = 200) -> None:
+    """Train the unit of a checkpoint on some views of its own run, until it knows them."""
+    checkpoint = Checkpoint.read(path)
+    model, views = checkpoint.model(), sample_views(checkpoint.config, "train", 16)
+    columns = zip(*(inputs(view.observation)[:4] for view in views), strict=True)
+    seen = [torch.cat(column) for column in columns]
+    labels = torch.from_numpy(np.stack([view.label for view in views])).float()
+    optimizer = torch.optim.Adam(model.unit.train().parameters(), 3e-3)
+    for _ in range(steps):
+        optimizer.zero_grad()
+        torch.nn.functional.binary_cross_entropy_with_logits(model.unit(*seen), labels).backward()
+        optimizer.step()
+    state = torch.load(path, weights_only=True)
+    torch.save(state | {"state_dict": model.state_dict()}, path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("format", "precision"), [("onnx", "int8"), ("torch_export", "bfloat16")])
+def test_a_lower_precision_costs_a_trained_unit_half_a_point_at_most(
+    tmp_path: Path, command: Command, format: str, precision: str
+) -> None:
+    """With the limit as it is configured, on views of other homes."""
+    overfit(make_checkpoint(tmp_path / "chair.ckpt"))
+    done = command("export", "ckpt=chair.ckpt", f"format={format}", f"precision={precision}", timeout=600)
+    assert done.returncode == 0, done.stderr
+    (score,) = re.findall(r"IoU chair ([\d.]+)", done.stderr)
+    assert float(score) > 0.1, done.stderr
 
 
 @pytest.mark.slow
