@@ -25,7 +25,7 @@ def camera_of(values: Mapping[str, Any], origin: str = "camera") -> RgbdCamera:
         beside = np.eye(4) if given is None else np.array(given, np.float64)
         height, tilt = (
             float(values.pop("mount_height", 1.25)),
-            [values.pop(name, 0.0) for name in ("pitch", "roll")],
+            [float(values.pop(name, 0.0)) for name in ("pitch", "roll")],
         )
         if values:
             raise UserError(f"{origin}: got the unknown keys {', '.join(map(str, values))}")
