@@ -106,7 +106,8 @@ class _SearchPath(SearchPathPlugin):
 def command(config_name: str, check: Task | None = None) -> Callable[[Task], Callable[[], None]]:
     """Make a function of a config into a command that composes conf/<config_name>.yaml from the command line.
 
-    `check` looks at the config before anything is built; `validate` if None.
+    `check` looks at the config before anything is built; `validate` if None. Commands with their own have no runs that
+    a sweep could list, so they refuse -m.
     Mistakes of the user are told in one message with exit code 2; anything else shows its traceback.
     """
 
@@ -130,6 +131,10 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
                     print(f"{plugin.name} ({plugin.origin}) is left out: {plugin.problem}", file=sys.stderr)
             _register()
             with mistakes_told():
+                if check is not None and {"-m", "--multirun"} & set(sys.argv[1:]):
+                    raise UserError(
+                        f"-m: imagination.{config_name} knows no sweeps; call it once for each value"
+                    )
                 hydra.main(version_base="1.3", config_path=str(plugins.core_conf()), config_name=config_name)(
                     checked
                 )()

@@ -26,7 +26,10 @@ def check_range(
     Raises:
         UserError: with the name, the value got and the range allowed.
     """
-    inside = low < value <= high if open_low else low <= value <= high
+    try:
+        inside = low < value <= high if open_low else low <= value <= high
+    except TypeError:  # a config or a file may hold text or nothing
+        inside = False
     if not inside:  # NaN compares false, so it is refused too
         bracket = "(" if open_low else "["
         suffix = f" {unit}" if unit else ""

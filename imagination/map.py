@@ -14,7 +14,7 @@ from imagination.config import command
 from imagination.deployment import configured
 from imagination.errors import UserError
 from imagination.mapping.semantic import SemanticMapper
-from imagination.recordings.recording import BrokenRecordingError, Frames, Recording
+from imagination.recordings.recording import Frames, Recording
 from imagination.viewers.viewer import Viewer
 
 log = logging.getLogger(__name__)
@@ -37,24 +37,26 @@ def main(config: DictConfig) -> None:
     module = configured.module_of(config)
     recording: Recording = instantiate(config.recording, _convert_="all")
     viewer: Viewer = instantiate(config.viewer)
-    mapper = configured.mapper_of(config, module, recording.camera)
+    mapper = configured.mapper_of(config, module, recording.camera, recording.world)
     folder = runs.create_folder(Path(config.paths.outputs) / config.name, runs.now())
     config.paths.run = str(folder)
     with runs.logging_to(folder / "run.log"):
         runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
+        frames = Frames(recording)
         viewer.open(folder, mapper)
         try:
-            status = run(mapper, Frames(recording), viewer)
-            mapper.save(folder, config.threshold)
+            status = run(mapper, frames, viewer)
         finally:
+            if frames.mapped:  # whatever ended it
+                mapper.save(folder, config.threshold)
+                runs.point_latest(folder)
+                log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
             viewer.close()
-        runs.point_latest(folder)
-        log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
     sys.exit(status)
 
 
 def run(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
-    """Register every frame; the exit code: 0, 1 if the recording is damaged, 130 after Ctrl-C.
+    """Register every frame; the exit code: 0, 1 if it ends before its end, 130 after Ctrl-C.
 
     Raises:
         UserError: if no frame could be mapped.
@@ -68,11 +70,14 @@ def run(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
                 frames.refuse("refused by the mapper (see the first below)")
                 refused = refused or str(error)
                 continue
+            except BaseException:
+                frames.refuse("ended while it was mapped")
+                raise
             outside += update.outside
             viewer.show(frame.stamp, update)
-    except BrokenRecordingError as error:
+    except UserError as error:  # the recording is damaged, or a viewer cannot write
         status = 1
-        log.error("error: %s; what came before it is mapped and saved", error)
+        log.error("error: %s%s", error, "; what came before it is mapped and saved" * bool(frames.mapped))
     except KeyboardInterrupt:
         status = 130
         log.warning("Interrupted; the map of %d frames is saved", frames.mapped)
@@ -92,4 +97,5 @@ def run(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
 
 
 if __name__ == "__main__":
+    sys.argv = ["viewer=preview" if word == "--preview" else word for word in sys.argv]
     main()

@@ -40,3 +40,14 @@ class Marker(NoViewer):
 
     def show(self, stamp: int, update: Update) -> None:
         self.file.touch()
+
+
+class Failing(NoViewer):
+    """A viewer that breaks at the third frame."""
+
+    shown = 0
+
+    def show(self, stamp: int, update: Update) -> None:
+        self.shown += 1
+        if self.shown == 3:
+            raise RuntimeError("the viewer is broken")

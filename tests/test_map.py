@@ -56,7 +56,9 @@ def test_a_tum_folder_and_a_bag_give_the_map_of_the_scene(
         assert done.returncode == 0, done.stderr
         assert "12 frames mapped, 0 skipped" in done.stderr
         folder = (tmp_path / "outputs" / "map" / "latest").resolve()
-        same(load_maps(folder), wanted)
+        maps = load_maps(folder)
+        same(maps, wanted)
+        assert maps.frame == "map"
         assert (load_layer(folder / "map.yaml").layer == wanted.occupancy_layer()).all()
         assert (load_layer(folder / "chair.yaml").layer == wanted.category_layer("chair")).all()
         assert len(load_objects(folder / "objects.geojson")) == len(wanted.objects())
@@ -95,6 +97,21 @@ def test_a_corrupt_image_leaves_the_map_before_it(
     assert maps.grid.columns == 25 and maps.known.sum() > 50
 
 
+def test_the_map_has_the_frame_of_the_recording_and_survives_a_viewer_that_breaks(
+    command: Command, tmp_path: Path, unit_file: Path, frames: list[Taken]
+) -> None:
+    record_bag(tmp_path / "drive", frames, CAMERA, odometry=True)
+    arguments = ["recording=bag", "recording.path=drive", f"unit={unit_file}"]
+    done = command("map", *arguments, "viewer._target_=tests.modules.Failing")
+    assert done.returncode == 1 and "RuntimeError: the viewer is broken" in done.stderr
+    maps = load_maps(tmp_path / "outputs" / "map" / "latest")
+    assert maps.frame == "odom" and maps.known.sum() > 50
+    done = command("map", *arguments, "frame=earth", "--preview", "viewer.format=gif")
+    folder = tmp_path / "outputs" / "map" / "latest"
+    assert done.returncode == 0 and (folder / "preview.gif").is_file()
+    assert load_maps(folder).frame == "earth"
+
+
 def test_if_no_frame_can_be_mapped_it_is_an_error(
     command: Command, tmp_path: Path, unit_file: Path, frames: list[Taken]
 ) -> None:
@@ -112,6 +129,7 @@ def test_if_no_frame_can_be_mapped_it_is_an_error(
         (["recording.path=x"], "unit: got none"),
         (["recording.path=x", "unit=a.onnx"], "unit: got a.onnx, but there is no such file"),
         (["recording=rosbag", "recording.path=x"], "bag folder scannet tum"),
+        (["recording.path=x", "unit=a.onnx,b.onnx", "-m"], "-m: imagination.map knows no sweeps"),
     ],
 )
 def test_mistakes_get_one_message(command: Command, arguments: list[str], told: str) -> None:

@@ -25,6 +25,8 @@ def validate(config: DictConfig) -> None:
     check_range("aggregation_factor", config.aggregation_factor, 0.0, 1.0)
     check_range("floor_height", config.floor_height, -1000.0, 1000.0, "m")
     check_range("threshold", config.threshold, 0.0, 1.0, open_low=True)
+    for name, unit in (("field_of_view", "degrees"), ("mount_height", "m"), ("tilt", "degrees")):
+        check_range(f"limits.{name}", config.limits[name], 0.0, 180.0, unit)
 
 
 def module_of(config: DictConfig) -> ImaginationModule:
@@ -36,15 +38,20 @@ def module_of(config: DictConfig) -> ImaginationModule:
     return load(config.unit if isinstance(config.unit, str) else list(config.unit))
 
 
-def mapper_of(config: DictConfig, module: ImaginationModule, camera: RgbdCamera) -> SemanticMapper:
-    """The mapper of a robot with this camera.
+def mapper_of(
+    config: DictConfig, module: ImaginationModule, camera: RgbdCamera, world: str = "map"
+) -> SemanticMapper:
+    """The mapper of a robot with this camera; `world` is the frame of its map unless the config names one.
 
     Raises:
         UserError: see `SemanticMapper`.
     """
     grid = None
     if config.extent is not None:
-        x, y = map(float, config.centre)
+        try:
+            x, y = map(float, config.centre)
+        except (TypeError, ValueError) as error:
+            raise UserError(f"centre: got {config.centre}, expected [x, y] in metres") from error
         grid = Grid.centred(config.extent, module.description.ego.resolution, (x, y))
     return SemanticMapper(
         module,
@@ -52,7 +59,7 @@ def mapper_of(config: DictConfig, module: ImaginationModule, camera: RgbdCamera)
         instantiate(config.mapping.registration),
         grid,
         config.floor_height,
-        config.frame,
+        config.frame or world,
         instantiate(config.limits),
         load_layer(config.start) if config.start else None,
     )

@@ -6,7 +6,7 @@ nav2_map_server/src/map_io.cpp).
 """
 
 import json
-import zipfile
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -112,7 +112,7 @@ def load_layer(path: str | Path) -> LoadedLayer:
         raise UserError(
             f"{path}: has no {error}, expected image, resolution, origin, negate and both thresholds"
         ) from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise UserError(f"{path}: holds a value that cannot be read ({error})") from error
     check_range(f"{path}: resolution", resolution, 0.005, 1.0, "m")
     if not 0 <= low < high <= 1:
@@ -155,9 +155,9 @@ def load_maps(folder: str | Path) -> Maps:
             )
     except FileNotFoundError as error:
         raise UserError(f"{path}: there is no such file") from error
-    except (OSError, EOFError, KeyError, TypeError, IndexError, ValueError, zipfile.BadZipFile) as error:
-        if isinstance(error, UserError):
-            raise
+    except UserError:
+        raise
+    except Exception as error:  # zip, zlib and NumPy raise anything on a damaged file
         raise UserError(f"{path}: cannot be read ({error}); save the map again") from error
 
 
@@ -213,7 +213,7 @@ def load_objects(path: str | Path) -> list[MapObject]:
             found.append(MapObject(values["category"], outline, holes, values["confidence"], values["area"]))
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from error
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise UserError(f"{path}: is no GeoJSON of objects ({error!r})") from error
     return found
 
@@ -255,10 +255,10 @@ def _read_yaml(path: Path) -> Mapping[str, Any]:
 def _read_shades(path: Path, mode: str) -> tuple[Float64[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
     """Brightness of each pixel, 0 to 1, and which pixels are opaque."""
     try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
+        data = path.read_bytes()
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from error
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if image is None:
         raise UserError(f"{path}: is no image that can be read; expected PGM, PNG or BMP")
     if max(image.shape[:2]) > MAX_CELLS:
@@ -267,13 +267,21 @@ def _read_shades(path: Path, mode: str) -> tuple[Float64[np.ndarray, "h w"], Boo
         )
     if image.dtype not in (np.uint8, np.uint16):
         raise UserError(f"{path}: got pixels of {image.dtype}, expected 8 or 16 bits")
-    full = 255.0 if image.dtype == np.uint8 else 65535.0
+    full = float(_white(data, image.dtype))
     channels = image.reshape(*image.shape[:2], -1)
     colour = channels[..., :3] if channels.shape[2] >= 3 else channels[..., :1]
     opaque = channels[..., 3] == full if channels.shape[2] == 4 else np.ones(image.shape[:2], np.bool_)
     if mode == "trinary" and channels.shape[2] == 4:
         colour = channels  # nav2 averages opacity in with the colours there
-    return colour.mean(axis=2) / full, opaque
+    return np.minimum(colour.mean(axis=2) / full, 1), opaque
+
+
+def _white(data: bytes, dtype: np.dtype[Any]) -> int:
+    """The value of white: PGM and PPM files name it, and OpenCV scales only those of 8 bits in ASCII."""
+    words = re.sub(rb"#[^\n]*", b" ", data[:4096]).split(maxsplit=4)
+    if words[0] in (b"P5", b"P6") or (words[0] in (b"P2", b"P3") and dtype == np.uint16):
+        return int(words[3])
+    return int(np.iinfo(dtype).max)
 
 
 def _interpret(

@@ -88,7 +88,9 @@ class Description:
                 float(values["valid_threshold"]),
                 float(values["valid_kernel"]),
             )
-        except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        except UserError:
+            raise
+        except (KeyError, TypeError, AttributeError, ValueError, OverflowError, RecursionError) as error:
             raise UserError(
                 f"{origin}: its description cannot be read ({error!r}); export it with imagination.export"
             ) from error

@@ -17,6 +17,7 @@ from imagination.recordings.ros_messages import (
     COMPRESSED,
     IMAGE,
     ODOMETRY,
+    OLD_TRANSFORMS,
     TRANSFORMS,
     Pairing,
     colour_of,
@@ -29,6 +30,15 @@ from imagination.recordings.trajectory import SECOND, Transforms
 
 NO_COLOUR = ("depth", "infra", "/ir/", "disparity", "confidence", "mask", "label")
 """In the names of image topics that are not colour."""
+
+TYPES = {
+    "colour": (IMAGE, COMPRESSED),
+    "depth": (IMAGE, COMPRESSED),
+    "colour_info": (CAMERA_INFO,),
+    "depth_info": (CAMERA_INFO,),
+    "odometry": (ODOMETRY,),
+}
+"""Of the messages that a topic of each role holds."""
 
 
 class BagRecording:
@@ -78,7 +88,7 @@ class BagRecording:
         if mount is not None:
             base, matrix = mount_of(mount)
             self.transforms.add(base, self.frame, 0, matrix, fixed=True)
-        self.world = world or self.transforms.ancestors(self.frame)[-1]
+        self.world: str = (world or self.transforms.ancestors(self.frame)[-1]).lstrip("/")
         if self.world == self.frame and not self.transforms.moving:
             raise UserError(f"{self.path}: holds no poses, neither in /tf nor in an odometry topic")
         self.camera = self._camera()
@@ -111,35 +121,37 @@ class BagRecording:
             seconds = (stamp - self._reader.start_time) / SECOND
             raise BrokenRecordingError(f"{self.path}, {seconds:.3f} s after its start: {error}") from error
 
-    def _messages(self, topics: Iterable[str]) -> Iterator[tuple[str, Any]]:
-        """Topic and content of messages, in the order of the recording.
+    def _messages(self, topics: Iterable[str], tolerant: bool = False) -> Iterator[tuple[str, Any]]:
+        """Topic and content of messages, in the order of the recording; `tolerant` skips those that cannot be decoded.
 
         Raises:
             BrokenRecordingError: where the bag is damaged: after how many messages and how long after its start.
         """
         wanted = [link for link in self._reader.connections if link.topic in set(topics)]
         count, time = 0, self._reader.start_time
-        messages = self._reader.messages(wanted)
-        while True:
-            try:
-                connection, time, data = next(messages)
-                message = self._reader.deserialize(data, connection.msgtype)
-            except StopIteration:
-                return
-            except Exception as error:  # a damaged file makes its reader raise anything
-                seconds = (time - self._reader.start_time) / SECOND
-                raise BrokenRecordingError(
-                    f"{self.path}: damaged after {count} messages of {', '.join(sorted(set(topics)))}, "
-                    f"{seconds:.3f} s after its start ({error})"
-                ) from error
-            count += 1
-            yield connection.topic, message
+        try:
+            for connection, time, data in self._reader.messages(wanted):  # noqa: B007 (told in the error)
+                try:
+                    message = self._reader.deserialize(data, connection.msgtype)
+                except Exception:
+                    if not tolerant:
+                        raise
+                    self.skipped[f"message of {connection.topic} that cannot be read"] += 1
+                    continue
+                yield connection.topic, message
+                count += 1
+        except Exception as error:  # a damaged file makes its reader raise anything
+            seconds = (time - self._reader.start_time) / SECOND
+            raise BrokenRecordingError(
+                f"{self.path}: damaged after {count} messages of {', '.join(sorted(set(topics)))}, "
+                f"{seconds:.3f} s after its start ({error})"
+            ) from error
 
     def _read_poses(self, found: "Topics") -> None:
         """All transforms, and the first camera_info of each camera; damage shows again when images are read."""
         kinds = {name: kind for kind, name in found.infos.items()}
         try:
-            for topic, message in self._messages([*found.poses, *found.infos.values()]):
+            for topic, message in self._messages([*found.poses, *found.infos.values()], tolerant=True):
                 if topic in kinds:
                     for kind, name in found.infos.items():
                         if name == topic:
@@ -156,11 +168,11 @@ class BagRecording:
             entries = [(message, message.child_frame_id, message.pose.pose)]
         for entry, child, transform in entries:
             try:
-                matrix = transform_of(transform)
+                stamp, matrix = stamp_of(entry), transform_of(transform)
             except UserError:
                 self.skipped["transform that is none"] += 1
                 continue
-            self.transforms.add(entry.header.frame_id, child, stamp_of(entry), matrix, fixed)
+            self.transforms.add(entry.header.frame_id, child, stamp, matrix, fixed)
 
     def _camera(self) -> RgbdCamera:
         colour, depth = (self._intrinsics(kind) for kind in ("colour", "depth"))
@@ -196,6 +208,12 @@ class Topics:
             raise UserError(
                 f"recording.topics: got {', '.join(sorted(unknown))}, expected topics of the bag: {self._listed()}"
             )
+        for role, name in given.items():
+            if name is not None and self.types[name] not in TYPES[role]:
+                raise UserError(
+                    f"recording.topics.{role}: got {name}, which holds {self.types[name]}, expected "
+                    f"{' or '.join(TYPES[role])}. The bag holds: {self._listed()}"
+                )
         images = [name for name, kind in self.types.items() if kind in (IMAGE, COMPRESSED)]
         self.colour = given.get("colour") or self._only(
             "colour", [name for name in images if not any(word in name.lower() for word in NO_COLOUR)]
@@ -207,7 +225,7 @@ class Topics:
             kind: given.get(f"{kind}_info") or self._info_beside(kind, image)
             for kind, image in (("colour", self.colour), ("depth", self.depth))
         }
-        transforms = [name for name, kind in self.types.items() if kind == TRANSFORMS]
+        transforms = [name for name, kind in self.types.items() if kind in (TRANSFORMS, OLD_TRANSFORMS)]
         odometry = given.get("odometry")
         if odometry is None and not any(name.strip("/").endswith("tf") for name in transforms):
             odometry = self._only("odometry", [name for name, kind in self.types.items() if kind == ODOMETRY])
@@ -238,7 +256,7 @@ class Topics:
 
 
 def open_bag(path: Path) -> Any:
-    """Open a bag with rosbags.
+    """Open a bag with rosbags, or, if its end is lost, what there is of it.
 
     Raises:
         UserError: if rosbags is not installed, or the bag is missing or cannot be opened.
@@ -247,15 +265,20 @@ def open_bag(path: Path) -> Any:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
+    from imagination.recordings.cut_bags import CutBag
+
     if not path.exists():
         raise UserError(f"recording.path: got {path}, but there is no such bag")
     try:
         # bags of before 2023 hold no definitions; those of the messages read here have not changed since
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
+        return reader
     except Exception as error:  # a damaged file makes its reader raise anything
-        raise UserError(
-            f"{path}: cannot be opened as a bag ({error}); if recording was cut off, repair it with "
-            "`ros2 bag reindex`, `mcap recover` or `rosbag reindex`"
-        ) from error
-    return reader
+        try:
+            return CutBag(path)
+        except Exception as other:
+            raise UserError(
+                f"{path}: cannot be opened as a bag ({error}), and holds no message at its beginning ({other}); "
+                "repair it with `ros2 bag reindex`, `mcap recover` or `rosbag reindex`"
+            ) from error

@@ -21,17 +21,20 @@ def camera_of(values: Mapping[str, Any], origin: str = "camera") -> RgbdCamera:
     try:
         colour = intrinsics_of(values.pop("colour"))
         depth = intrinsics_of(given) if (given := values.pop("depth", None)) else None
-        beside = np.array(values.pop("depth_to_colour", None) or np.eye(4), np.float64)
+        given = values.pop("depth_to_colour", None)
+        beside = np.eye(4) if given is None else np.array(given, np.float64)
         height, tilt = (
             float(values.pop("mount_height", 1.25)),
-            [values.pop(name, 0.0) for name in ("pitch", "roll")],
+            [float(values.pop(name, 0.0)) for name in ("pitch", "roll")],
         )
         if values:
             raise UserError(f"{origin}: got the unknown keys {', '.join(map(str, values))}")
         return RgbdCamera(colour, depth, beside, height, *np.deg2rad(tilt).tolist())
     except KeyError as error:
         raise UserError(f"{origin}: has no {error}") from error
-    except (TypeError, AttributeError) as error:
+    except UserError:
+        raise
+    except (TypeError, AttributeError, ValueError) as error:
         raise UserError(f"{origin}: holds a value that cannot be read ({error})") from error
 
 
@@ -49,13 +52,13 @@ def mount_of(values: Mapping[str, Any]) -> tuple[str, Float64[np.ndarray, "4 4"]
     Raises:
         UserError: if one is missing, unknown or impossible.
     """
+    known = {"frame", "height", "pitch", "roll"}
     try:
-        known = {"frame", "height", "pitch", "roll"}
         frame, height = str(values["frame"]), float(values["height"])
         tilt = np.deg2rad([float(values.get("pitch", 0.0)), float(values.get("roll", 0.0))]).tolist()
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(
-            f"mount: got {dict(values)}, expected frame, height in metres, pitch and roll in degrees"
+            f"mount: got {values}, expected frame, height in metres, pitch and roll in degrees"
         ) from error
     if unknown := values.keys() - known:
         raise UserError(

@@ -1,4 +1,4 @@
-"""The plain folder: images by name, a table of poses, the camera in one YAML file (docs/recordings.md)."""
+"""The plain folder: images by name, a table of poses, the camera in one YAML file (docs/robot.md)."""
 
 import csv
 from collections import Counter
@@ -20,7 +20,7 @@ from imagination.recordings.trajectory import matrix_of
 from imagination.recordings.tum import to_stamp
 
 PLANAR, FULL = ("x", "y", "theta"), ("x", "y", "z", "qx", "qy", "qz", "qw")
-"""Columns of poses.csv: of the robot on the floor, or of the colour camera."""
+"""Columns of frames.csv: of the robot on the floor, or of the colour camera."""
 
 
 class FolderRecording:
@@ -38,6 +38,8 @@ class FolderRecording:
     Raises:
         UserError: if a file is missing or broken.
     """
+
+    world = "map"  # no file names it
 
     def __init__(self, path: str, floor_height: float = 0.0) -> None:
         self.folder, self.floor_height = Path(path), floor_height
@@ -65,12 +67,19 @@ class FolderRecording:
         """The rows of frames.csv; see `Recording`."""
         for number, row in enumerate(self.rows, 2):
             place = f"{self.folder / 'frames.csv'}, line {number}"
+            if None in (row["time"], row["colour"], row["depth"]):
+                raise BrokenRecordingError(f"{place}: ends before time, colour and depth are given")
             try:
                 stamp = to_stamp(row["time"])
                 given = [row[name] for name in self.pose_columns]
-                pose = self._pose([float(text) for text in given]) if all(given) else None
-            except (TypeError, ValueError) as error:
+                numbers = [float(text) for text in given] if all(given) else None
+            except ValueError as error:
                 raise BrokenRecordingError(f"{place}: {error}") from error
+            try:
+                pose = None if numbers is None else self._pose(numbers)
+            except UserError:
+                self.skipped["pose that is none"] += 1
+                continue
             yield Shot(stamp, pose, partial(self._load, row["colour"], row["depth"]))
 
     def _load(self, colour: str, depth: str) -> Images:

@@ -40,12 +40,10 @@ def read_depth(path: Path, scale: float) -> Float32[np.ndarray, "h w"]:
     if path.suffix == ".npy":
         try:
             raw = np.load(path, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
+        except Exception as error:  # NumPy raises anything on a damaged header
             raise BrokenRecordingError(f"{path}: cannot be read ({error})") from error
-        if raw.ndim != 2:
-            raise BrokenRecordingError(
-                f"{path}: got an array of shape {raw.shape}, expected rows x columns of depth"
-            )
+        if not isinstance(raw, np.ndarray) or raw.ndim != 2 or raw.dtype.kind not in "fiu":
+            raise BrokenRecordingError(f"{path}: is no array of numbers, expected rows x columns of depth")
     else:
         raw = decode_depth(_bytes(path), str(path))
     return to_metres(raw, 1.0 if np.issubdtype(raw.dtype, np.floating) else scale)

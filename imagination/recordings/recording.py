@@ -60,10 +60,12 @@ class Recording(Protocol):
 
     Attributes:
         camera: that took the images.
+        world: id of the frame that the poses are in.
         skipped: how many entries the recording itself left out, by the reason.
     """
 
     camera: RgbdCamera
+    world: str
     skipped: Counter[str]
 
     def shots(self) -> Iterator[Shot]:

@@ -20,7 +20,7 @@ class ScanNetRecording:
 
     intrinsic/ holds intrinsic_color.txt and intrinsic_depth.txt, and, if they are not one camera, extrinsic_color.txt
     and extrinsic_depth.txt: from each camera to the frame that the poses are of. Frames without a pose, which ScanNet
-    writes as infinity, are skipped.
+    writes as infinity, or with a broken one are skipped.
 
     Args:
         path: of the folder.
@@ -30,6 +30,8 @@ class ScanNetRecording:
     Raises:
         UserError: if a folder or the intrinsics are missing or broken.
     """
+
+    world = "map"  # no file names it
 
     def __init__(self, path: str, depth_scale: float, rate: float) -> None:
         self.folder = Path(path)
@@ -59,7 +61,12 @@ class ScanNetRecording:
     def shots(self) -> Iterator[Shot]:
         """Frames by their number; see `Recording`."""
         for number in self.frames:
-            yield Shot(round(number * SECOND / self.rate), self._pose(number), partial(self._load, number))
+            try:
+                pose = self._pose(number)
+            except UserError:
+                self.skipped["pose that is none"] += 1
+                continue
+            yield Shot(round(number * SECOND / self.rate), pose, partial(self._load, number))
 
     def _load(self, number: int) -> Images:
         return Images(read_colour(self.colour[number]), read_depth(self.depth[number], self.depth_scale))

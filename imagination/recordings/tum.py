@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,6 +34,8 @@ class TumRecording:
     Raises:
         UserError: if a list is missing, broken or empty.
     """
+
+    world = "map"  # no file names it
 
     def __init__(
         self, path: str, camera: RgbdCamera, depth_scale: float, max_difference: float, max_gap: float
@@ -101,10 +104,17 @@ class TumRecording:
 
 
 def to_stamp(text: str) -> Stamp:
-    """Seconds as text, to nanoseconds, without the rounding of a float."""
+    """Seconds as text, to nanoseconds, without the rounding of a float.
+
+    Raises:
+        ValueError: if it is no finite number.
+    """
     whole, _, part = text.partition(".")
     if not (whole.lstrip("-").isdigit() and (part.isdigit() or not part)):
-        return round(float(text) * SECOND)
+        seconds = float(text)
+        if not isfinite(seconds):
+            raise ValueError(f"time {text!r} is not finite")
+        return round(seconds * SECOND)
     nanoseconds = int(part[:9].ljust(9, "0"))
     return int(whole) * SECOND + (-nanoseconds if whole.startswith("-") else nanoseconds)
 

@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
+import torch
 
 from imagination.checkpoints import Checkpoint
-from imagination.deployment.export import Sample, compare, export
+from imagination.config import compose
+from imagination.deployment.export import Sample, compare, export, sample_views
 from imagination.deployment.load import load
+from imagination.deployment.torch_module import inputs
 from imagination.errors import UserError
 from imagination.mapping.module import Observation
 from imagination.mapping.semantic import SemanticMapper
@@ -137,7 +140,7 @@ class Fixed(Toy):
     """Answers the same whatever it sees."""
 
     def __init__(self, answer: np.ndarray) -> None:
-        super().__init__()
+        super().__init__("chair", "bed")
         self.answer = answer
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -145,21 +148,25 @@ class Fixed(Toy):
 
 
 def test_a_comparison_by_hand() -> None:
-    """Of two views and two categories together; only the views' labels are looked at here."""
+    """Of two views, each category for itself; only the views' labels are looked at here."""
     labels = np.array([[[[1, 0], [1, 1]], [[0, 0], [0, 0]]], [[[0, 0], [0, 0]], [[1, 0], [0, 0]]]], np.bool_)
     given = [Sample(sample.observation, label) for sample, label in zip(samples(2), labels, strict=True)]
     ours = np.array([[[0.9, 0.5], [0.2, 0.7]], [[0.1, 0.2], [0.3, 0.4]]], np.float32)
     check = compare(Fixed(ours), Fixed(np.full((2, 2, 2), 0.6, np.float32)), given)
-    # ours: first view 2 of 3 and one false; second view 3 false and 1 missed
-    assert check.iou == pytest.approx(2 / 8) and check.reference_iou == pytest.approx(4 / 16)
-    assert check.difference == pytest.approx(0.5)
-    assert compare(Fixed(0 * ours), Fixed(ours), given[:1]).iou == 0.0
+    # ours, chair: first view 2 of 3 and one false, second view three false; bed: nothing, and one missed
+    assert check.iou == pytest.approx({"chair": 2 / 7, "bed": 0.0})
+    assert check.reference_iou == pytest.approx({"chair": 3 / 8, "bed": 1 / 8})
+    assert check.loss == pytest.approx(1 / 8) and check.difference == pytest.approx(0.5)
+    assert check.told() == "chair 0.2857 (PyTorch 0.3750), bed 0.0000 (PyTorch 0.1250)"
+    assert compare(Fixed(0 * ours), Fixed(ours), given[:1]).iou == {"chair": 0.0}  # no bed is there
 
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
         ([], "ckpt: got none"),
+        (["ckpt=[]"], "ckpt: got an empty list"),
+        (["ckpt=a.ckpt", "views=abc"], "views: got abc, expected a number in [1, 10000] views"),
         (["ckpt=none.ckpt"], "got none.ckpt, but there is no such file"),
         (["ckpt=a.ckpt", "format=tflite"], "format: got 'tflite', expected one of: onnx, torch_export"),
         (["ckpt=a.ckpt", "precision=int4"], "expected one of: float32, int8"),
@@ -169,6 +176,38 @@ def test_mistakes_get_one_message(command: Command, arguments: list[str], told: 
     done = command("export", *arguments)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert told in done.stderr
+
+
+def overfit(checkpoint: Checkpoint, path: Path, views: list[Sample], steps: int) -> Checkpoint:
+    """Train the unit of a checkpoint, which lies at `path`, until it knows some views."""
+    model = checkpoint.model()
+    columns = zip(*(inputs(view.observation)[:4] for view in views), strict=True)
+    seen = [torch.cat(column) for column in columns]
+    labels = torch.from_numpy(np.stack([view.label for view in views])).float()
+    optimizer = torch.optim.Adam(model.unit.train().parameters(), 3e-3)
+    for _ in range(steps):
+        optimizer.zero_grad()
+        torch.nn.functional.binary_cross_entropy_with_logits(model.unit(*seen), labels).backward()
+        optimizer.step()
+    state = torch.load(path, weights_only=True)
+    torch.save(state | {"state_dict": model.state_dict()}, path)
+    return Checkpoint.read(path)
+
+
+@pytest.mark.slow
+def test_a_lower_precision_costs_a_trained_unit_half_a_point_at_most(tmp_path: Path) -> None:
+    """With the limit as it is configured, on views that the unit was trained on."""
+    limit = compose("export", []).max_loss
+    checkpoint = Checkpoint.read(make_checkpoint(tmp_path / "chair.ckpt"))
+    views = sample_views(checkpoint.config, "train", 8)
+    checkpoint = overfit(checkpoint, tmp_path / "chair.ckpt", views, 300)
+    for name, precision in (("chair.onnx", "int8"), ("chair.pt2", "bfloat16")):
+        format = "onnx" if precision == "int8" else "torch_export"
+        export([checkpoint], tmp_path / name, format, precision, views)
+        check = compare(load(tmp_path / name), load(tmp_path / "chair.ckpt"), views)
+        print(precision, check.told(), f"largest difference {check.difference:.3f}")
+        assert check.reference_iou["chair"] > 0.5 and 0 < check.difference
+        assert check.loss <= limit
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Map files, parsed by an independent reader: PyYAML and Pillow after nav2's rules (nav2_map_server, map_io.cpp)."""
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,24 @@ def test_images_with_colours_opacity_and_16_bits(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("image", "layer"),
+    [
+        (b"P5\n# white is 100\n3 1\n100\n" + bytes([0, 50, 100]), [100, -1, 0]),
+        (b"P5 3 1 1000\n" + np.array([0, 500, 1000], ">u2").tobytes(), [100, -1, 0]),
+        (b"P2\n3 1\n100\n0 50 100\n", [100, -1, 0]),
+        (b"P2\n3 1\n1000\n0 500 1000\n", [100, -1, 0]),
+        (b"P6\n2 1\n100\n" + bytes([0, 0, 0, 100, 100, 100]), [100, 0]),
+    ],
+)
+def test_white_is_what_the_image_says(tmp_path: Path, image: bytes, layer: list[int]) -> None:
+    """Largest values other than 255 and 65535 (https://netpbm.sourceforge.net/doc/pgm.html)."""
+    (tmp_path / "m.pgm").write_bytes(image)
+    text = "image: m.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
+    (tmp_path / "m.yaml").write_text(text + "occupied_thresh: 0.65\nfree_thresh: 0.196\n")
+    assert files.load_layer(tmp_path / "m.yaml").layer.tolist() == [layer]
+
+
+@pytest.mark.parametrize(
     ("change", "told"),
     [
         ({"image": "none.pgm"}, "none.pgm: cannot be read"),
@@ -134,6 +153,7 @@ def test_images_with_colours_opacity_and_16_bits(tmp_path: Path) -> None:
         ({"origin": [0.0, 0.0]}, "cannot be read"),
         ({"origin": [0.0, float("nan"), 0.0]}, "expected finite metres"),
         ({"negate": None}, "cannot be read"),
+        ({"negate": float("inf")}, "cannot be read"),
     ],
 )
 def test_broken_maps_are_refused(tmp_path: Path, change: dict[str, object], told: str) -> None:
@@ -155,15 +175,22 @@ def test_broken_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="cannot be read"):
         files.load_layer(tmp_path / "map.yaml")
     data = (tmp_path / "semantic.npz").read_bytes()
+    for place in range(60, len(data) - 400, len(data) // 40):  # a bit in each array
+        flipped = bytearray(data)
+        flipped[place] ^= 16
+        (tmp_path / "semantic.npz").write_bytes(flipped)
+        with suppress(UserError):
+            files.load_maps(tmp_path)
     (tmp_path / "semantic.npz").write_bytes(data[: len(data) // 2])
     with pytest.raises(UserError, match=r"semantic.npz: cannot be read"):
         files.load_maps(tmp_path)
     (tmp_path / "semantic.npz").unlink()
     with pytest.raises(UserError, match=r"semantic.npz: there is no such file"):
         files.load_maps(tmp_path)
-    (tmp_path / "objects.geojson").write_text(json.dumps({"features": [{}]}))
-    with pytest.raises(UserError, match="no GeoJSON of objects"):
-        files.load_objects(tmp_path / "objects.geojson")
+    for text in (json.dumps({"features": [{}]}), "[" * 100_000):
+        (tmp_path / "objects.geojson").write_text(text)
+        with pytest.raises(UserError, match="no GeoJSON of objects"):
+            files.load_objects(tmp_path / "objects.geojson")
 
 
 @pytest.mark.parametrize("resolution", [0.03, 0.05, 0.12])

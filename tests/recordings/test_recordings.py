@@ -221,6 +221,10 @@ def test_a_scannet_folder(tmp_path: Path) -> None:
     assert got.skipped == {"no pose at its time": 2}
     assert recording.camera.depth is not None and recording.camera.depth.width == 12
     np.testing.assert_allclose(recording.camera.depth_to_colour, np.linalg.inv(beside))
+    (tmp_path / "pose" / "1.txt").write_text("1 0 0")
+    recording = ScanNetRecording(str(tmp_path), 1000.0, 10.0)
+    assert [frame.stamp // TICK for frame in Frames(recording)] == [0, 3, 4]
+    assert recording.skipped == {"pose that is none": 1}
     (tmp_path / "intrinsic" / "intrinsic_depth.txt").write_text("1 2\n3 4\n")
     with pytest.raises(UserError, match="expected 4 x 4 or 3 x 3"):
         ScanNetRecording(str(tmp_path), 1000.0, 10.0)
@@ -259,6 +263,102 @@ def test_frames_out_of_order_are_skipped(tmp_path: Path) -> None:
     frames = Frames(FolderRecording(str(tmp_path / "plain")))
     assert [(frame.stamp - BEGIN) // TICK for frame in frames] == [0, 1, 2, 4]
     assert frames.skipped == {"time stamp out of order": 1, "repeated time stamp": 1}
+
+
+def test_rows_that_are_damaged(tmp_path: Path) -> None:
+    """A pose that is none costs its frame, as in a TUM folder; what cannot be read ends the recording."""
+    folder = tmp_path / "plain"
+    record_folder(folder, taken(4), CAMERA)
+    head = "time,colour,depth,x,y,z,qx,qy,qz,qw"
+    rows = [f"{number},c{number}.png,d{number}.npy,0,0,1.1,0,0,0,{int(number != 1)}" for number in range(4)]
+    (folder / "frames.csv").write_text("\n".join([head, *rows]))
+    frames = Frames(FolderRecording(str(folder)))
+    assert [frame.stamp // 10**9 for frame in frames] == [0, 2, 3]
+    assert frames.skipped == {"pose that is none": 1}
+    for row, told in (
+        ("inf" + rows[3][1:], "time 'inf' is not finite"),
+        ("3,c3.png", "line 5: ends before time, colour and depth are given"),
+    ):
+        (folder / "frames.csv").write_text("\n".join([head, *rows[:3], row]))
+        got, message = until_broken(FolderRecording(str(folder)))
+        assert len(got) == 2 and told in message
+
+
+def test_a_depth_camera_and_distortion_of_a_tum_folder() -> None:
+    from hydra.utils import instantiate
+
+    from imagination.config import compose
+
+    values = "recording.camera.values"
+    camera = instantiate(
+        compose(
+            "map",
+            [
+                f"{values}.colour.distortion=[0.1,0,0,0]",
+                f"{values}.depth={{width:320,height:240,fx:260,fy:260,cx:160,cy:120}}",
+                f"{values}.depth_to_colour=[[1,0,0,0.03],[0,1,0,0],[0,0,1,0],[0,0,0,1]]",
+            ],
+        ).recording.camera,
+        _convert_="all",
+    )
+    assert camera.colour.distortion == (0.1, 0, 0, 0) and camera.depth.width == 320
+    assert camera.depth_to_colour[0, 3] == 0.03
+
+
+UNTYPED = """
+import sys
+from pathlib import Path
+from imagination.config import compose
+from imagination.deployment import configured
+from imagination.errors import UserError
+from imagination.recordings.cameras import camera_of, mount_of
+from imagination.recordings.folder import FolderRecording
+
+colour = {"width": 24, "height": 16, "fx": 20.0, "fy": 20.0, "cx": 11.5, "cy": 7.5}
+calls = [lambda mount=mount: mount_of(mount) for mount in ("base_link", 5, {"frame": "a", "height": None})]
+for values in (
+    {"colour": colour | {"fx": "525 px"}},
+    {"colour": colour, "mount_height": "1.2 m"},
+    {"colour": colour, "depth_to_colour": [[1, 0], [0]]},
+    {"colour": "red"},
+    {"colour": colour, "pitch": "down"},
+):
+    calls.append(lambda values=values: camera_of(values))
+for scale in ("mm", "null"):
+    def read(scale=scale):
+        Path(sys.argv[1], "camera.yaml").write_text(f"depth_scale: {scale}")
+        FolderRecording(sys.argv[1])
+    calls.append(read)
+for override in ("threshold=abc", "limits.tilt=steep", "limits.mount_height=null", "floor_height=low"):
+    config = compose("map", ["unit=a.onnx", override])
+    calls.append(lambda config=config: configured.validate(config))
+class Units:
+    class description:
+        class ego:
+            resolution = 0.1
+for overrides in (["extent=big"], ["extent=5", "centre=[1]"], ["extent=5", "centre=[x,y]"]):
+    config = compose("map", ["unit=a.onnx", *overrides])
+    calls.append(lambda config=config: configured.mapper_of(config, Units, None))
+for call in calls:
+    try:
+        call()
+    except UserError as error:
+        print(error)
+"""
+
+
+def test_values_of_a_wrong_kind_get_one_message(tmp_path: Path) -> None:
+    """In a process without the tests' checker of types, which would refuse them first."""
+    import subprocess
+    import sys
+
+    done = subprocess.run([sys.executable, "-c", UNTYPED, str(tmp_path)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    told = done.stdout.splitlines()
+    assert len(told) == 17 and all(": " in line for line in told), done.stdout
+    assert "threshold: got abc, expected a number in (0.0, 1.0]" in told
+    assert "limits.tilt: got steep, expected a number in [0.0, 180.0] degrees" in told
+    assert "centre: got [1], expected [x, y] in metres" in told
 
 
 def test_association_is_the_closest_first() -> None:
@@ -321,6 +421,101 @@ def test_a_damaged_bag_gives_what_lies_before(tmp_path: Path, kind: str) -> None
     for frame, original in zip(got, frames, strict=False):
         np.testing.assert_array_equal(frame.rgb, original.rgb)
     assert "damaged after" in told or "after its start" in told
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
+def test_a_bag_that_was_cut_off_gives_what_is_left(tmp_path: Path, kind: str) -> None:
+    """Cut in its only chunk; and a recorder that was killed before it wrote metadata.yaml."""
+    path = tmp_path / ("drive.bag" if kind == "ros1" else "drive")
+    frames = taken(60)
+    record_bag(path, frames, CAMERA, kind)
+    file = path if kind == "ros1" else next(path.glob("drive*.*"))
+    whole = file.read_bytes()
+    file.write_bytes(whole[: round(0.7 * len(whole))])
+    for place in {file, path}:
+        got, told = until_broken(bag(place))
+        assert 30 <= len(got) <= 45
+        for frame, original in zip(got, frames, strict=False):
+            assert frame.stamp == original.stamp
+            np.testing.assert_array_equal(frame.rgb, original.rgb)
+            np.testing.assert_array_equal(frame.depth, original.depth)
+            np.testing.assert_allclose(frame.camera_to_world, CAMERA.to_world(original.pose), atol=1e-9)
+        assert f"{file.name} is cut off: " in told and f" {file.stat().st_size} bytes" in told
+        assert (
+            f"damaged after {2 * len(got)} messages" in told or f"after {2 * len(got) + 1} messages" in told
+        )
+    if kind != "ros1":
+        file.write_bytes(whole)
+        (path / "metadata.yaml").unlink()
+        check(bag(path), frames)
+    file.write_bytes(whole[:100])
+    with pytest.raises(UserError, match="cannot be opened as a bag .* repair it with"):
+        bag(path)
+
+
+@pytest.mark.parametrize("compression", ["none", "bz2", "lz4", "zstd"])
+def test_a_chunk_that_was_cut_off_unpacks_as_far_as_it_goes(compression: str) -> None:
+    import bz2
+
+    import lz4.frame
+
+    from imagination.recordings.cut_bags import unpacked, zstd
+
+    pack = {"none": bytes, "bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd.compress}[compression]
+    data = np.random.default_rng(0).integers(0, 99, 4_000_000, dtype=np.uint8).tobytes()
+    packed = pack(data)
+    assert unpacked(compression, packed) == data
+    part = unpacked(compression, packed[: len(packed) * 7 // 10])
+    assert 0.4 * len(data) < len(part) < 0.8 * len(data) and data.startswith(part)
+
+
+def test_one_damaged_transform_costs_only_itself(tmp_path: Path) -> None:
+    import sqlite3
+
+    record_bag(tmp_path / "drive", taken(30), CAMERA, "sqlite3")
+    database = sqlite3.connect(next((tmp_path / "drive").glob("*.db3")))
+    ids = "SELECT m.id FROM messages m JOIN topics t ON m.topic_id = t.id WHERE t.name = '/tf' ORDER BY m.id"
+    (number,) = database.execute(ids).fetchall()[20]  # of frame 10
+    database.execute("UPDATE messages SET data = ? WHERE id = ?", (bytes([0, 1, 0, 0]) + b"\xff" * 4, number))
+    database.commit()
+    database.close()
+    recording = bag(tmp_path / "drive")
+    assert len(list(Frames(recording))) == 30  # between its neighbours the pose is interpolated
+    assert recording.skipped == {"message of /tf that cannot be read": 1}
+
+
+def test_a_bag_of_before_tf2(tmp_path: Path) -> None:
+    from rosbags.typesys import get_types_from_msg
+
+    from tests.robot import ROS1
+
+    ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf/msg/tfMessage"))
+
+    def old(topics: list[Topic], _: int) -> list[Topic]:
+        make = ROS1.types["tf/msg/tfMessage"]
+        return [
+            (name, "tf/msg/tfMessage", make(transforms=message.transforms)) if "/tf" in name else topic
+            for topic in topics
+            for name, _, message in [topic]
+        ]
+
+    record_bag(tmp_path / "old.bag", taken(), CAMERA, "ros1", change=old)
+    check(bag(tmp_path / "old.bag"), taken())
+
+
+def test_frames_and_topics_that_the_user_gives(tmp_path: Path) -> None:
+    record_bag(tmp_path / "drive", taken(2), CAMERA)
+    recording = bag(tmp_path / "drive", world="/odom")
+    assert recording.world == "odom"
+    check(recording, taken(2))
+    image = "/camera/color/image_raw"
+    for role, topic, told in (
+        ("colour", "/tf", "recording.topics.colour: got /tf, which holds tf2_msgs/msg/TFMessage, expected"),
+        ("colour_info", image, "which holds sensor_msgs/msg/Image, expected sensor_msgs/msg/CameraInfo"),
+        ("odometry", image, "which holds sensor_msgs/msg/Image, expected nav_msgs/msg/Odometry"),
+    ):
+        with pytest.raises(UserError, match=told):
+            bag(tmp_path / "drive", topics=NO_TOPICS | {role: topic})
 
 
 def test_a_message_that_is_no_image_ends_it_with_its_place(tmp_path: Path) -> None:

@@ -1,8 +1,10 @@
 """Every parser of foreign files, with valid examples to start from. A new parser is one line of `PARSERS`."""
 
+import atexit
 import hashlib
 import io
 import json
+import shutil
 import tempfile
 import zipfile
 from collections.abc import Callable, Sequence
@@ -11,6 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import torch
 from omegaconf import OmegaConf
@@ -21,7 +24,21 @@ from imagination.cache import MAGIC, DamagedError, decode, encode
 from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint
 from imagination.config import compose
 from imagination.errors import UserError
+from imagination.geometry.camera import Camera
+from imagination.geometry.grid import Grid
+from imagination.geometry.pose import Pose
+from imagination.geometry.rgbd import Intrinsics, RgbdCamera
+from imagination.mapping import files
+from imagination.mapping.maps import Maps
+from imagination.mapping.module import Description
+from imagination.recordings.bag import BagRecording
+from imagination.recordings.folder import FolderRecording
+from imagination.recordings.recording import Frames, Recording
+from imagination.recordings.scannet import ScanNetRecording
+from imagination.recordings.tum import TumRecording
 from imagination.resume import END, _read
+from tests.modules import Toy
+from tests.robot import BEGIN, TICK, Taken, raw, record_bag, record_folder, record_tum
 from tests.scene_sources import sweet_home
 
 
@@ -103,12 +120,156 @@ def described() -> tuple[bytes, bytes]:
         return json.dumps(index).encode(), (Path(folder) / ABOUT).read_bytes()
 
 
+@cache
+def frames() -> list[Taken]:
+    image, depth = np.full((16, 24, 3), 90, np.uint8), np.full((16, 24), 2, np.float32)
+    return [Taken(BEGIN + number * TICK, Pose(0.1 * number, 0, 0), image, depth) for number in range(4)]
+
+
+CAMERA = Camera.from_degrees(24, 16, 80.0, 1.1)
+
+
+def recording(
+    record: Callable[[Path], None], name: str, opened: Callable[[Path], Recording]
+) -> tuple[Callable[[Path], object], Callable[[], list[bytes]]]:
+    """What reads all of a recording one of whose files is another, and what that file is."""
+
+    @cache
+    def made() -> Path:
+        folder = Path(tempfile.mkdtemp()) / "recording"
+        atexit.register(shutil.rmtree, folder.parent)
+        record(folder)
+        return folder
+
+    def parse(path: Path) -> object:
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = Path(scratch) / "copy"
+            shutil.copytree(made(), folder)
+            (folder / name).write_bytes(path.read_bytes())
+            return len(list(Frames(opened(folder))))
+
+    return parse, lambda: [(made() / name).read_bytes()]
+
+
+def bag(kind: str) -> tuple[Callable[[Path], object], Callable[[], list[bytes]]]:
+    """The same of a bag's file."""
+    topics = dict.fromkeys(("colour", "depth", "colour_info", "depth_info", "odometry"))
+    suffix = {"mcap": ".mcap", "sqlite3": ".db3", "ros1": ".bag"}[kind]
+
+    def record(folder: Path) -> None:
+        folder.mkdir()
+        record_bag(folder / ("drive.bag" if kind == "ros1" else "drive"), frames(), CAMERA, kind)
+        found = next(folder.rglob(f"drive{suffix}"))
+        found.rename(folder / f"bag{suffix}")
+
+    return recording(
+        record,
+        f"bag{suffix}",
+        lambda folder: BagRecording(str(folder / f"bag{suffix}"), topics, None, None, 1000.0, 0.02, 0.5),
+    )
+
+
+def scannet(folder: Path) -> None:
+    """Record a folder as ScanNet exports it."""
+    for name in ("color", "depth", "pose", "intrinsic"):
+        (folder / name).mkdir(parents=True)
+    for name in ("color", "depth"):
+        np.savetxt(folder / "intrinsic" / f"intrinsic_{name}.txt", Intrinsics.of(CAMERA).matrix)
+    for number, frame in enumerate(frames()):
+        cv2.imwrite(str(folder / "color" / f"{number}.png"), frame.rgb)
+        cv2.imwrite(str(folder / "depth" / f"{number}.png"), raw(frame.depth, 1000))
+        np.savetxt(folder / "pose" / f"{number}.txt", CAMERA.to_world(frame.pose))
+
+
+@cache
+def maps() -> Path:
+    """A saved map."""
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder)
+    probabilities = np.zeros((1, 20, 20), np.float32)
+    probabilities[:, 4:12, 5:9] = 0.75
+    known = np.ones((20, 20), np.bool_)
+    grid = Grid(0.05, 20, 20, (0.0, 0.0))
+    found = Maps(grid, "map", ("chair",), probabilities, known[None], probabilities[0], known)
+    files.save_maps(folder, found, [(200, 0, 0)])
+    return folder
+
+
+def beside(name: str, read: Callable[[Path], object]) -> Callable[[Path], object]:
+    """Reads a folder with the saved map in which one file is another."""
+
+    def parse(path: Path) -> object:
+        with tempfile.TemporaryDirectory() as scratch:
+            for file in maps().iterdir():
+                shutil.copy(file, scratch)
+            (Path(scratch) / name).write_bytes(path.read_bytes())
+            return read(Path(scratch))
+
+    return parse
+
+
+def tum(folder: Path) -> TumRecording:
+    return TumRecording(str(folder), RgbdCamera.of(CAMERA), 5000.0, 0.02, 0.5)
+
+
+def plain(folder: Path) -> FolderRecording:
+    return FolderRecording(str(folder))
+
+
+def record_as_tum(folder: Path) -> None:
+    record_tum(folder, frames(), CAMERA)
+
+
+def record_as_folder(folder: Path) -> None:
+    record_folder(folder, frames(), CAMERA)
+
+
+FOREIGN = [
+    *(Parser(f"bag-{kind}", *bag(kind)) for kind in ("mcap", "sqlite3", "ros1")),
+    *(
+        Parser(f"tum-{name}", *recording(record_as_tum, f"{name}.txt", tum))
+        for name in ("rgb", "depth", "groundtruth")
+    ),
+    *(
+        Parser(
+            f"scannet-{name.partition('/')[0]}",
+            *recording(scannet, name, lambda folder: ScanNetRecording(str(folder), 1000.0, 30.0)),
+        )
+        for name in ("pose/2.txt", "intrinsic/intrinsic_color.txt", "depth/2.png")
+    ),
+    *(
+        Parser(f"folder-{name}", *recording(record_as_folder, name, plain))
+        for name in ("camera.yaml", "frames.csv", "d2.npy")
+    ),
+    *(
+        Parser(
+            f"map-{name}",
+            beside(name, lambda folder: files.load_layer(folder / "map.yaml")),
+            lambda name=name: [(maps() / name).read_bytes()],
+        )
+        for name in ("map.yaml", "map.pgm")
+    ),
+    Parser(
+        "map-semantic.npz",
+        beside(files.SEMANTIC, files.load_maps),
+        lambda: [(maps() / files.SEMANTIC).read_bytes()],
+    ),
+    Parser("map-objects.geojson", files.load_objects, lambda: [(maps() / files.OBJECTS).read_bytes()]),
+    Parser(
+        "onnx-description",
+        lambda path: Description.from_json(path.read_text(errors="replace"), str(path)),
+        lambda: [Toy("chair", "bed").description.to_json().encode()],
+    ),
+]
+"""Recordings, maps and what a unit's file says of itself."""
+
 PARSERS = [
     Parser("config", _read, configs),
     Parser("checkpoint", lambda path: Checkpoint.read(path).config, checkpoints),
     Parser("cache", lambda path: decode(path.read_bytes()), entries, (DamagedError,)),
     Parser("cache-sealed", sealed, bodies, (DamagedError,)),
 ]
+PARSERS += FOREIGN
 if find_spec("litdata") is not None:  # an optional extra
     PARSERS.append(Parser("shards", corpus, lambda: described()[:1]))
 

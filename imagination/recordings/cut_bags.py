@@ -1,0 +1,226 @@
+"""Bags without their end, as a full disk or a broken transfer leaves them: read from the beginning, up to the damage.
+
+The library rosbags wants the index at a bag's end; here only its message definitions are used. The formats:
+https://mcap.dev/spec, https://wiki.ros.org/Bags/Format/2.0 and, for .db3, https://sqlite.org/fileformat.html.
+"""
+
+import bz2
+import sqlite3
+import struct
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from io import BufferedReader, BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import lz4.frame
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from imagination.recordings.recording import BrokenRecordingError, Stamp
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+MAX_RECORD = 2**30
+"""Bytes; a longer one is damage."""
+
+
+class Connection(NamedTuple):
+    """What a topic holds; `definition` of the message only where the format is of ROS 1."""
+
+    topic: str
+    msgtype: str
+    definition: str = ""
+
+
+File = BufferedReader | BytesIO
+Messages = Iterator[tuple[Connection, Stamp, bytes]]
+
+
+class CutBag:
+    """What `BagRecording` needs of rosbags' reader.
+
+    Args:
+        path: of a file, or of a folder whose files are read one after the other.
+
+    Attributes:
+        connections: topics of the messages that can be read.
+        start_time: of the first of them.
+
+    Raises:
+        Exception: of any kind, if there is none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        files = sorted(path.glob("*")) if path.is_dir() else [path]
+        self.parts = [(FORMATS[file.suffix], file) for file in files if file.suffix in FORMATS]
+        self.ros1 = path.suffix == ".bag"
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
+        connections: dict[Connection, Stamp] = {}
+        try:
+            for connection, time, _ in self._every():
+                connections.setdefault(connection, time)
+        except Exception:  # it shows again when they are read
+            if not connections:
+                raise
+        self.connections, self.start_time = list(connections), min(connections.values())
+        for connection in self.connections:
+            if connection.definition:
+                self.store.register(get_types_from_msg(connection.definition, connection.msgtype))
+
+    def messages(self, connections: Sequence[Connection]) -> Messages:
+        """Messages of some topics in the order in which they were written.
+
+        Raises:
+            Exception: of any kind, where the bag ends too early.
+        """
+        return (message for message in self._every() if message[0] in connections)
+
+    def deserialize(self, data: bytes, kind: str) -> Any:
+        """A message from its bytes."""
+        return (
+            self.store.deserialize_ros1(data, kind) if self.ros1 else self.store.deserialize_cdr(data, kind)
+        )
+
+    def _every(self) -> Messages:
+        for read, file in self.parts:
+            yield from read(file)
+
+
+def read_mcap(path: Path) -> Messages:
+    """Messages of an MCAP file."""
+    names: dict[int, str] = {}
+    channels: dict[int, Connection] = {}
+    with open(path, "rb") as file:
+        file.seek(8)  # behind the magic bytes
+        for kind, body in mcap_records(file):
+            if kind == 3:  # schema: number, name
+                number, size = struct.unpack_from("<HI", body)
+                names[number] = body[6 : 6 + size].decode()
+            elif kind == 4:  # channel: number, schema's number, topic
+                number, schema, size = struct.unpack_from("<HHI", body)
+                channels[number] = Connection(body[8 : 8 + size].decode(), names[schema])
+            elif kind == 5:  # message: channel's number, count, two times
+                number, _, time, _ = struct.unpack_from("<HIQQ", body)
+                yield channels[number], time, body[22:]
+            elif kind == 15:  # the end of the data
+                return
+        raise cut_off(path, file)
+
+
+def mcap_records(file: File) -> Iterator[tuple[int, bytes]]:
+    """Kind and content of the records that are whole, those in chunks too."""
+    while len(head := file.read(9)) == 9:
+        kind, length = struct.unpack("<BQ", head)
+        body = file.read(min(length, MAX_RECORD))
+        if kind == 6:  # chunk: two times, size, checksum, compression, size
+            (size,) = struct.unpack_from("<I", body, 28)
+            yield from mcap_records(BytesIO(unpacked(body[32 : 32 + size].decode(), body[40 + size :])))
+        elif len(body) == length:
+            yield kind, body
+        if len(body) < length:
+            file.seek(-len(body) - len(head), 1)
+            return
+
+
+def read_ros1(path: Path) -> Messages:
+    """Messages of a ROS 1 bag."""
+    connections: dict[bytes, Connection] = {}
+    with open(path, "rb") as file:
+        file.readline()  # the version
+        for inside, header, data in ros1_records(file):
+            kind = header[b"op"][0]
+            if kind == 7 and inside:  # a connection
+                about = fields(data)
+                connections[header[b"conn"]] = Connection(
+                    header[b"topic"].decode(),
+                    about[b"type"].decode().replace("/", "/msg/"),
+                    about[b"message_definition"].decode(),
+                )
+            elif kind == 7:  # the index at the end
+                return
+            elif kind == 2:  # a message
+                seconds, nanoseconds = struct.unpack("<II", header[b"time"])
+                yield connections[header[b"conn"]], seconds * 10**9 + nanoseconds, data
+        raise cut_off(path, file)
+
+
+def ros1_records(file: File, inside: bool = False) -> Iterator[tuple[bool, dict[bytes, bytes], bytes]]:
+    """Whether they lie in a chunk, header and data of the records that are whole."""
+    while len(start := file.read(4)) == 4:
+        at = file.tell() - 4
+        header = file.read(min(int.from_bytes(start, "little"), MAX_RECORD))
+        length = int.from_bytes(file.read(4), "little")
+        data = file.read(min(length, MAX_RECORD))
+        values = fields(header) if length else {}
+        if values.get(b"op") == b"\5":  # a chunk
+            yield from ros1_records(BytesIO(unpacked(values[b"compression"].decode(), data)), True)
+        elif len(data) == length:
+            yield inside, values, data
+        if len(data) < length:
+            file.seek(at)
+            return
+
+
+def fields(data: bytes) -> dict[bytes, bytes]:
+    """Names and values of a header of ROS 1."""
+    found, at = {}, 0
+    while at < len(data):
+        (size,) = struct.unpack_from("<I", data, at)
+        name, _, value = data[at + 4 : at + 4 + size].partition(b"=")
+        found[name] = value
+        at += 4 + size
+    return found
+
+
+def read_sqlite(path: Path) -> Messages:
+    """Messages of a .db3 file; SQLite reads rows until it needs a page that is lost."""
+    database = sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)
+    try:
+        database.execute("PRAGMA writable_schema = ON")  # else SQLite refuses a file that lacks pages
+        about = database.execute("SELECT id, name, type FROM topics")
+        topics = {number: Connection(topic, kind) for number, topic, kind in about}
+        rows = database.execute("SELECT topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY id")
+        before: list[
+            tuple[Connection, Stamp, bytes]
+        ] = []  # the last is not given: what it lacks may be zeros
+        for number, time, data in rows:
+            yield from before
+            before = [(topics[number], time, data)]
+        yield from before
+    except (sqlite3.DatabaseError, KeyError) as error:
+        size = path.stat().st_size
+        raise BrokenRecordingError(
+            f"{path.name} is cut off: its {size} bytes are not all ({error})"
+        ) from error
+    finally:
+        database.close()
+
+
+FORMATS: dict[str, Callable[[Path], Messages]] = {
+    ".mcap": read_mcap,
+    ".db3": read_sqlite,
+    ".bag": read_ros1,
+}
+"""By the names' endings."""
+
+
+def unpacked(compression: str, data: bytes) -> bytes:
+    """What a chunk holds, as far as its bytes go."""
+    if compression in ("", "none"):
+        return data
+    if compression == "bz2":
+        return bz2.BZ2Decompressor().decompress(data)
+    if compression == "lz4":
+        found: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data)
+        return found
+    return zstd.ZstdDecompressor().decompress(data)
+
+
+def cut_off(path: Path, file: BufferedReader) -> BrokenRecordingError:
+    """What to raise where a file ends too early."""
+    return BrokenRecordingError(
+        f"{path.name} is cut off: of its {path.stat().st_size} bytes, the records before byte {file.tell()} are whole"
+    )
