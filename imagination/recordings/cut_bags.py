@@ -7,6 +7,7 @@ https://mcap.dev/spec, https://wiki.ros.org/Bags/Format/2.0 and, for .db3, https
 import bz2
 import sqlite3
 import struct
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from io import BufferedReader, BytesIO
 from pathlib import Path
@@ -16,6 +17,11 @@ import lz4.frame
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from imagination.recordings.recording import BrokenRecordingError, Stamp
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 MAX_RECORD = 2**30
 """Bytes; a longer one is damage."""
@@ -210,8 +216,6 @@ def unpacked(compression: str, data: bytes) -> bytes:
     if compression == "lz4":
         found: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data)
         return found
-    from backports import zstd
-
     return zstd.ZstdDecompressor().decompress(data)
 
 

@@ -1,7 +1,6 @@
 """Exported units answer as PyTorch does, on real views, and run without torch."""
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 import torch
 
 from imagination.checkpoints import Checkpoint
+from imagination.config import compose
 from imagination.deployment.export import Sample, compare, export, sample_views
 from imagination.deployment.load import load
 from imagination.deployment.torch_module import inputs
@@ -178,10 +178,9 @@ def test_mistakes_get_one_message(command: Command, arguments: list[str], told: 
     assert told in done.stderr
 
 
-def overfit(path: Path, steps: int = 200) -> None:
-    """Train the unit of a checkpoint on some views of its own run, until it knows them."""
-    checkpoint = Checkpoint.read(path)
-    model, views = checkpoint.model(), sample_views(checkpoint.config, "train", 16)
+def overfit(checkpoint: Checkpoint, path: Path, views: list[Sample], steps: int) -> Checkpoint:
+    """Train the unit of a checkpoint, which lies at `path`, until it knows some views."""
+    model = checkpoint.model()
     columns = zip(*(inputs(view.observation)[:4] for view in views), strict=True)
     seen = [torch.cat(column) for column in columns]
     labels = torch.from_numpy(np.stack([view.label for view in views])).float()
@@ -192,19 +191,21 @@ def overfit(path: Path, steps: int = 200) -> None:
         optimizer.step()
     state = torch.load(path, weights_only=True)
     torch.save(state | {"state_dict": model.state_dict()}, path)
+    return Checkpoint.read(path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("format", "precision"), [("onnx", "int8"), ("torch_export", "bfloat16")])
-def test_a_lower_precision_costs_a_trained_unit_half_a_point_at_most(
-    tmp_path: Path, command: Command, format: str, precision: str
-) -> None:
-    """With the limit as it is configured, on views of other homes."""
-    overfit(make_checkpoint(tmp_path / "chair.ckpt"))
-    done = command("export", "ckpt=chair.ckpt", f"format={format}", f"precision={precision}", timeout=600)
-    assert done.returncode == 0, done.stderr
-    (score,) = re.findall(r"IoU chair ([\d.]+)", done.stderr)
-    assert float(score) > 0.1, done.stderr
+def test_bfloat16_costs_a_trained_unit_half_a_point_at_most(tmp_path: Path) -> None:
+    """With the limit as it is configured, on views with many labels that the unit was trained on."""
+    path = tmp_path / "chair.ckpt"
+    checkpoint = Checkpoint.read(make_checkpoint(path))
+    views = sample_views(checkpoint.config, "train", 48)
+    views = sorted(views, key=lambda view: -int(view.label.sum()))[:8]
+    checkpoint = overfit(checkpoint, path, views, 300)
+    export([checkpoint], tmp_path / "chair.pt2", "torch_export", "bfloat16", views)
+    check = compare(load(tmp_path / "chair.pt2"), load(path), views)
+    assert check.reference_iou["chair"] > 0.2 and check.difference > 1e-3
+    assert check.loss <= compose("export", []).max_loss
 
 
 @pytest.mark.slow
@@ -215,9 +216,9 @@ def test_a_lower_precision_costs_a_trained_unit_half_a_point_at_most(
 def test_the_command(files: Path, command: Command, format: str, precision: str) -> None:
     """On homes of the run; units that were never trained find little, so the limit on IoU is wide here."""
     chair, file = files / "chair.ckpt", f"chair{'.onnx' if format == 'onnx' else '.pt2'}"
-    arguments = [f"ckpt={chair}", f"format={format}", f"precision={precision}", "views=4", "max_loss=0.1"]
+    arguments = [f"ckpt={chair}", f"format={format}", f"precision={precision}", "views=16", "max_loss=0.1"]
     done = command("export", *arguments, f"file={file}", timeout=600)
     assert done.returncode == 0, done.stderr
-    assert "on 4 views: largest difference" in done.stderr
+    assert "on 16 views: largest difference" in done.stderr
     refused = command("export", *arguments, "file=x.txt", timeout=600)
     assert refused.returncode == 2 and "expected a name that ends in" in refused.stderr

@@ -458,9 +458,8 @@ def test_a_chunk_that_was_cut_off_unpacks_as_far_as_it_goes(compression: str) ->
     import bz2
 
     import lz4.frame
-    from backports import zstd
 
-    from imagination.recordings.cut_bags import unpacked
+    from imagination.recordings.cut_bags import unpacked, zstd
 
     pack = {"none": bytes, "bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd.compress}[compression]
     data = np.random.default_rng(0).integers(0, 99, 4_000_000, dtype=np.uint8).tobytes()
