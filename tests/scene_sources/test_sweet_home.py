@@ -693,3 +693,8 @@ def test_a_wrong_folder_is_told(tmp_path: Path, make: object, told: str) -> None
     with pytest.raises(UserError, match=told):
         homes = source(tmp_path, "data/scenes=sweethome3d", f"data.scenes.folder={tmp_path}/homes")
         homes.scenes("val")
+
+
+def test_no_folder_is_told(tmp_path: Path) -> None:
+    with pytest.raises(Exception, match=r"data\.scenes\.folder: got none, expected one with \.sh3d files"):
+        source(tmp_path, "data/scenes=sweethome3d")

@@ -62,14 +62,23 @@ class SweetHomes:
         catalogues: folder with `.sh3f` archives, which tell what pieces are; None looks where the assets are kept.
 
     Raises:
-        UserError: if the folder does not exist or holds no home.
+        UserError: if there is no folder, or it holds no home.
     """
 
     name = NAME
 
     def __init__(
-        self, folder: str, categories: CategoryTable, robot_radius: float, catalogues: str | None = None
+        self,
+        folder: str | None,
+        categories: CategoryTable,
+        robot_radius: float,
+        catalogues: str | None = None,
     ) -> None:
+        if not folder:
+            raise UserError(
+                "data.scenes.folder: got none, expected one with .sh3d files, in folders train, val and test or all "
+                "together"
+            )
         self._folder = Path(folder)
         self._categories, self._robot_radius, self._catalogues = categories, robot_radius, catalogues
         if self._folder.is_file():
