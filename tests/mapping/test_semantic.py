@@ -250,7 +250,7 @@ def test_ctrl_c_in_the_first_frame_saves_nothing_and_says_nothing_else() -> None
             raise KeyboardInterrupt
 
     class OneFrame:
-        camera, skipped = RgbdCamera.of(CAMERA), Counter[str]()
+        camera, skipped, world = RgbdCamera.of(CAMERA), Counter[str](), "map"
 
         def shots(self) -> Iterator[Shot]:
             images = Images(np.zeros((48, 48, 3), np.uint8), np.full((48, 48), 2.0, np.float32))
