@@ -267,7 +267,10 @@ def _read_shades(path: Path, mode: str) -> tuple[Float64[np.ndarray, "h w"], Boo
         )
     if image.dtype not in (np.uint8, np.uint16):
         raise UserError(f"{path}: got pixels of {image.dtype}, expected 8 or 16 bits")
-    full = float(_white(data, image.dtype))
+    try:
+        full = float(_white(data, image.dtype))
+    except ValueError as error:  # of which UserError is one
+        raise UserError(f"{path}: {error}") from error
     channels = image.reshape(*image.shape[:2], -1)
     colour = channels[..., :3] if channels.shape[2] >= 3 else channels[..., :1]
     opaque = channels[..., 3] == full if channels.shape[2] == 4 else np.ones(image.shape[:2], np.bool_)
@@ -280,6 +283,8 @@ def _white(data: bytes, dtype: np.dtype[Any]) -> int:
     """The value of white: PGM and PPM files name it, and OpenCV scales only those of 8 bits in ASCII."""
     words = re.sub(rb"#[^\n]*", b" ", data[:4096]).split(maxsplit=4)
     if words[0] in (b"P5", b"P6") or (words[0] in (b"P2", b"P3") and dtype == np.uint16):
+        if len(words) < 4:
+            raise UserError("its header has comments beyond 4096 bytes; shorten them")
         return int(words[3])
     return int(np.iinfo(dtype).max)
 

@@ -38,19 +38,21 @@ class Limits:
     """How far a robot's camera may be from the one that the units were trained with, before it is an error.
 
     Attributes:
-        field_of_view: horizontal and vertical, degrees.
+        field_of_view: horizontal, degrees.
+        vertical_field_of_view: degrees; sensors see less of it than square images do.
         resolution: how many times fewer pixels a degree; more of them are averaged.
         mount_height: metres.
         tilt: pitch and roll, degrees.
     """
 
-    field_of_view: float = 50.0
+    field_of_view: float = 40.0
+    vertical_field_of_view: float = 50.0
     resolution: float = 4.0
     mount_height: float = 0.5
     tilt: float = 35.0
 
 
-CLOSE = Limits(2.0, 1.1, 0.05, 2.0)
+CLOSE = Limits(2.0, 2.0, 1.1, 0.05, 2.0)
 """Differences up to these are not worth a warning."""
 
 
@@ -212,15 +214,16 @@ class SemanticMapper:
             if ours is None:
                 continue
             angles = np.rad2deg([ours.fields_of_view, theirs.fields_of_view]).T.tolist()
-            for axis, (got, trained) in zip(("horizontal", "vertical"), angles, strict=True):
+            keys = ("horizontal", "field_of_view"), ("vertical", "vertical_field_of_view")
+            for (axis, key), (got, trained) in zip(keys, angles, strict=True):
                 told = f"{axis} field of view: the robot's {kind} camera has {got:.1f} degrees, "
                 told += f"the units' {trained:.1f}"
-                if abs(got - trained) > limits.field_of_view:
+                if abs(got - trained) > getattr(limits, key):
                     raise UserError(
-                        f"{told}; expected at most {limits.field_of_view} apart; train for this camera "
-                        "(camera.field_of_view) or raise limits.field_of_view"
+                        f"{told}; expected at most {getattr(limits, key)} apart; train for this camera "
+                        f"(camera.field_of_view) or raise limits.{key}"
                     )
-                if abs(got - trained) > CLOSE.field_of_view:
+                if abs(got - trained) > getattr(CLOSE, key):
                     warnings.warn(f"{told}; what only one of them sees is left out", stacklevel=3)
             got, trained = np.deg2rad([min(abs(ours.fx), abs(ours.fy)), theirs.fx]).tolist()
             told = f"resolution: the robot's {kind} camera has {got:.2f} pixels a degree, the units' {trained:.2f}"

@@ -136,11 +136,11 @@ def test_it_starts_from_another_robots_map() -> None:
 def test_cameras_too_far_from_the_units_are_refused() -> None:
     narrow = RgbdCamera.of(Camera.from_degrees(48, 48, 35.0, 1.25))
     with pytest.raises(
-        UserError, match=r"robot's colour camera has 35.0 degrees, the units' 90.0; expected at most 50"
+        UserError, match=r"robot's colour camera has 35.0 degrees, the units' 90.0; expected at most 40"
     ):
         SemanticMapper(Toy(), narrow)
     with pytest.warns(UserWarning, match="what only one of them sees is left out"):
-        SemanticMapper(Toy(), narrow, limits=Limits(field_of_view=60.0))
+        SemanticMapper(Toy(), narrow, limits=Limits(field_of_view=60.0, vertical_field_of_view=60.0))
     with pytest.warns(UserWarning, match="the image is magnified"):
         SemanticMapper(Toy(), RgbdCamera.of(Camera.from_degrees(24, 24, 90.0, 1.25)))
     rgb, depth, pose = frames()[0]
@@ -219,7 +219,7 @@ def test_warnings_come_once_for_each_quantity_when_it_first_differs() -> None:
 def test_all_of_both_cameras_is_compared(colour: Intrinsics, depth: Intrinsics | None, told: str) -> None:
     with pytest.warns(UserWarning, match=told):
         SemanticMapper(Toy(), RgbdCamera(colour, depth))
-    none = Limits(field_of_view=1.0, resolution=1.0)
+    none = Limits(field_of_view=1.0, vertical_field_of_view=1.0, resolution=1.0)
     with warnings.catch_warnings(), pytest.raises(UserError, match=told):
         warnings.simplefilter("ignore")
         SemanticMapper(Toy(), RgbdCamera(colour, depth), limits=none)
