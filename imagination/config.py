@@ -209,6 +209,10 @@ def validate(config: DictConfig) -> None:
     for key, bounds in RANGES.items():
         if OmegaConf.select(config, key.partition(".")[0]) is not None:  # not every command has a trainer
             _check_number(key, OmegaConf.select(config, key), *bounds)
+    if not isinstance(config.scale.mirrored_answers, bool):
+        raise UserError(
+            f"scale.mirrored_answers: got {config.scale.mirrored_answers!r}, expected true or false"
+        )
     widths = config.scale.cell_widths
     if not isinstance(widths, ListConfig) or not widths:
         raise UserError(f"scale.cell_widths: got {widths!r}, expected a list of metres such as [3.0, 2.5]")

@@ -101,6 +101,7 @@ def test_paper_holds_the_appendix() -> None:
         ("aggregation_factor=much", "aggregation_factor: got 'much'"),
         ("scale.cell_widths=[3.0,0]", "scale.cell_widths: got 0"),
         ("scale.cell_widths=3.0", "expected a list"),
+        ("scale.mirrored_answers=maybe", "scale.mirrored_answers: got 'maybe', expected true or false"),
         ("scale.rounds=2.5", "scale.rounds: got 2.5, expected a whole number"),
         ("trainer.max_epochs=null", "trainer.max_epochs: got None"),
         ("scale.world_extent=9000", "choose a coarser resolution or a smaller extent"),
