@@ -23,7 +23,7 @@ def run(folder: str) -> list[Figure]:
     data = instantiate(desk.data.module)
     model = instantiate(desk.model.module).eval()
     protocol: MappingProtocol = replace(instantiate(desk.evaluation), viewpoint_sets=1)
-    subject, observer = subject_of(data, [model]), data.observer
+    subject, observer = subject_of(data, [model], protocol.precision), data.observer
     for home in HOMES:
         observer.truth(home)  # measured elsewhere
     runs, looks = runs_of(HOMES, protocol.cell_widths, 1), Looks(protocol.seed, protocol.orientations)

@@ -18,7 +18,7 @@ from imagination.data.augmentation import mirrored
 from imagination.data.batches import Batch, assemble
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.geometry.morphology import kernel_cells
-from imagination.train import precision
+from imagination.precision import resolved
 from imagination.units.training import UnitTraining
 
 UNITS = {
@@ -39,7 +39,7 @@ OPERATORS: list[tuple[str, float]] = []
 def run(folder: str) -> list[Figure]:
     """All figures."""
     batch, drawing = batches(folder)
-    kinds = ["32-true"] + (["bf16-mixed"] if precision("auto") == "bf16-mixed" else [])
+    kinds = ["32-true"] + (["bf16-mixed"] if resolved("auto") == "bf16-mixed" else [])
     figures = []
     for name, choices in UNITS.items():
         for kind in kinds:

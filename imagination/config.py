@@ -12,6 +12,7 @@ from typing import Any
 
 import hydra
 from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
@@ -197,6 +198,8 @@ def _register() -> None:
     plugins.activate()  # before Hydra looks for launchers among what can be imported
     if _SearchPath not in Plugins.instance().discover(SearchPathPlugin):
         Plugins.instance().register(_SearchPath)
+    # there is one store and it is only read, but --help would copy it for each of a hundred config groups
+    setattr(ConfigStore, "__deepcopy__", lambda store, memo: store)  # noqa: B010  (mypy knows no such method)
 
 
 def validate(config: DictConfig) -> None:

@@ -14,7 +14,8 @@ from omegaconf import DictConfig
 
 from imagination import runs
 from imagination.config import command
-from imagination.errors import UserError, check_choice
+from imagination.errors import UserError
+from imagination.precision import resolved
 from imagination.progress import stage
 from imagination.resume import Run, opened
 from imagination.summary import record_hyperparameters, single_views, summary
@@ -26,9 +27,6 @@ if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does wit
     from imagination.data.datamodule import SceneData
 
 log = logging.getLogger(__name__)
-
-PRECISIONS = ("auto", "32-true", "64-true", "bf16-mixed", "bf16-true", "16-mixed", "16-true")
-"""What `precision` may be: auto, or Lightning's names."""
 
 
 @command("train")
@@ -80,7 +78,7 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
     trainer = instantiate(
         config.trainer,
         strategy=strategy(config.trainer.devices * config.trainer.num_nodes),
-        precision=precision(config.trainer.precision),
+        precision=resolved(config.trainer.precision),
         callbacks=callbacks,
         logger=instantiate(config.logger),
         plugins=[CheckpointFiles()],
@@ -149,21 +147,6 @@ def check_accelerator(asked: str) -> None:
             f"trainer.accelerator: got {asked!r}, expected one that this machine has: {', '.join(sorted(usable))}; "
             "auto takes a GPU where PyTorch sees one"
         )
-
-
-def precision(asked: str) -> str:
-    """Lightning's name of the precision; `auto` takes bfloat16 where the hardware computes it, twice as fast."""
-    import torch
-
-    check_choice("precision", asked, PRECISIONS)
-    if asked != "auto":
-        return asked
-    if torch.cuda.is_available():
-        native = torch.cuda.is_bf16_supported(including_emulation=False)
-    else:
-        able = torch.cpu.get_capabilities()
-        native = bool(able.get("avx512_bf16") or able.get("amx_bf16"))
-    return "bf16-mixed" if native else "32-true"
 
 
 def best(run: Run) -> Path | None:

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 from imagination.config import compose, validate
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.errors import UserError
-from imagination.train import precision
+from imagination.precision import resolved
 from tests.conftest import ROOT
 
 CONF = ROOT / "conf"
@@ -144,9 +144,9 @@ def test_the_buffer_holds_enough_for_the_first_batch(scale: str) -> None:
 
 
 def test_an_unknown_precision_is_refused_by_name() -> None:
-    assert precision("32-true") == "32-true" and precision("auto") in ("32-true", "bf16-mixed")
+    assert resolved("32-true") == "32-true" and resolved("auto") in ("32-true", "bf16-mixed")
     with pytest.raises(UserError, match="precision: got 'half', expected one of: 16-mixed"):
-        precision("half")
+        resolved("half")
 
 
 @pytest.mark.parametrize("category", ["chair", "bed", "table", "all"])

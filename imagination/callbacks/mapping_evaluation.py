@@ -11,7 +11,7 @@ from imagination.data.datamodule import SceneData
 from imagination.errors import check_range
 from imagination.evaluation.figures import side_by_side
 from imagination.evaluation.prediction import Model, Segmenter
-from imagination.evaluation.protocol import MappingProtocol
+from imagination.evaluation.protocol import MappingProtocol, Subject
 from imagination.evaluation.results import evaluate, subject_of
 from imagination.progress import stage
 
@@ -42,7 +42,7 @@ class MappingEvaluation(Callback):
         self.folder = Path(folder)
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        networks = subject_of(_data(trainer), [cast(Network, pl_module)], keep=False).predict
+        networks = self._subject(trainer, pl_module).predict
         self.protocol.available(networks.gives)  # refused before training, not after it
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -60,11 +60,13 @@ class MappingEvaluation(Callback):
         for example in report.examples:
             add_image(trainer, f"maps/{example.category}/{example.run.cell_width:g}m", side_by_side(example))
 
+    def _subject(self, trainer: Trainer, pl_module: LightningModule) -> Subject:
+        """The network with its weights of this moment: what is found with them is not kept."""
+        return subject_of(_data(trainer), [cast(Network, pl_module)], self.protocol.precision, keep=False)
+
     def _monitor(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data = _data(trainer)
-        subject = subject_of(
-            data, [cast(Network, pl_module)], keep=False
-        )  # weights that change with every round
+        subject = self._subject(trainer, pl_module)
         every = data.observer.source.scenes("val")
         furnished = [
             home for home in every if data.observer.truth(home).truth[data.layers].any(axis=(1, 2)).all()

@@ -14,6 +14,7 @@ from imagination.cache import code_version
 from imagination.data.batches import Batch, observations
 from imagination.errors import UserError
 from imagination.evaluation.approaches import Predictions
+from imagination.precision import answering, resolved
 from imagination.views.collector import Views
 
 PACKAGES = ("units", "baselines", "mapping")
@@ -48,6 +49,7 @@ class Predictor:
         categories: that are evaluated.
         table: names of the category table's rows, which images of categories are indices into.
         batch_size: views predicted at once.
+        precision: what they answer in, one of `PRECISIONS`.
 
     Raises:
         UserError: if a category that is evaluated comes from none or several of the networks of a kind.
@@ -59,11 +61,13 @@ class Predictor:
         categories: Sequence[str],
         table: Sequence[str],
         batch_size: int,
+        precision: str = "32-true",
     ) -> None:
         self.models = list(models)
         self.units = [model for model in models if isinstance(model, Model)]
         self.segmenters = [model for model in models if isinstance(model, Segmenter)]
         self.batch_size = batch_size
+        self.precision = resolved(precision)
         held = [name for unit in self.units for name in unit.categories]
         for name in categories:
             if self.units and held.count(name) != 1:
@@ -92,8 +96,8 @@ class Predictor:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Changes with the weights, the categories and the code that makes predictions and maps of them."""
-        digest = hashlib.sha256(code_version(PACKAGES).encode())
+        """Changes with weights, categories, precision and the code that makes predictions and maps of them."""
+        digest = hashlib.sha256((code_version(PACKAGES) + self.precision).encode())
         for model in self.models:
             digest.update(repr((type(model).__qualname__, model.categories)).encode())
             assert isinstance(model, nn.Module)
@@ -108,16 +112,17 @@ class Predictor:
     def __call__(self, views: Views, wanted: Collection[str]) -> Predictions:
         """Those of `NEEDS` that are wanted, for each view."""
         answers: Predictions = {}
-        if "maps" in wanted:
-            answers["maps"] = self._maps(views)
-        if "maps_of_shuffled_rgb" in wanted:
-            # each view gets the colours of the one half a round further on: of its own only if it is the only one
-            shift = (len(views["rgb"]) + 1) // 2
-            answers["maps_of_shuffled_rgb"] = self._maps(
-                {**views, "rgb": np.roll(views["rgb"], shift, axis=0)}
-            )
-        if "images" in wanted:
-            answers["images"] = self._images(views)
+        with answering(self.precision):
+            if "maps" in wanted:
+                answers["maps"] = self._maps(views)
+            if "maps_of_shuffled_rgb" in wanted:
+                # each view gets the colours of the one half a round further on: of its own only if it is the only one
+                shift = (len(views["rgb"]) + 1) // 2
+                answers["maps_of_shuffled_rgb"] = self._maps(
+                    {**views, "rgb": np.roll(views["rgb"], shift, axis=0)}
+                )
+            if "images" in wanted:
+                answers["images"] = self._images(views)
         return answers
 
     def _maps(self, views: Views) -> Float32[np.ndarray, "n c v v"]:

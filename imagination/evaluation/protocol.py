@@ -21,6 +21,7 @@ from imagination.evaluation.measuring import Arrays, Plan, maps_of, measure_run,
 from imagination.evaluation.outcome import Choices, Counts, Example, Key, Report
 from imagination.evaluation.runs import Looks, Run, render, runs_of, views_of
 from imagination.evaluation.selection import THRESHOLDS, choose
+from imagination.precision import PRECISIONS
 from imagination.progress import progress
 from imagination.views.collector import Views
 from imagination.views.pool import ScenePool
@@ -77,6 +78,7 @@ class MappingProtocol:
         resamples: of homes, for intervals.
         only: names of the approaches to evaluate; None for all that the networks at hand suffice for.
         known_homes: how many homes with furniture as in training, none of which is trained on, are measured as well.
+        precision: what networks answer in, one of `PRECISIONS`.
     """
 
     approaches: Mapping[str, Approach]
@@ -87,6 +89,7 @@ class MappingProtocol:
     resamples: int
     only: Sequence[str] | None = None
     known_homes: int = 0
+    precision: str = "32-true"
 
     def __post_init__(self) -> None:
         check_range("evaluation.cell_widths", len(self.cell_widths), 1, 100, "widths")
@@ -96,6 +99,7 @@ class MappingProtocol:
         check_range("evaluation.orientations", self.orientations, 1, 1000)
         check_range("evaluation.resamples", self.resamples, 10, 10_000_000)
         check_range("evaluation.known_homes", self.known_homes, 0, 9999, "homes")
+        check_choice("evaluation.precision", self.precision, PRECISIONS)
         check_range("evaluation.approaches", len(self.approaches), 1, 1000, "approaches")
 
     def available(self, gives: Collection[str]) -> "MappingProtocol":

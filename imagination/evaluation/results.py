@@ -35,13 +35,16 @@ Describe = Callable[[Report], Sequence[tables.Row]]
 """Makes the rows of training.csv."""
 
 
-def subject_of(data: SceneData, models: Sequence[Model | Segmenter], keep: bool = True) -> Subject:
-    """Trained networks in the homes of their data; units together imagine its categories."""
+def subject_of(
+    data: SceneData, models: Sequence[Model | Segmenter], precision: str, keep: bool = True
+) -> Subject:
+    """Trained networks, answering in `precision`, in the homes of their data; units together imagine its categories."""
     observer = data.observer
     setting = Setting(
         observer.camera, observer.ego, data.layers, data.unit_categories, len(observer.categories)
     )
-    predictor = Predictor(models, data.unit_categories, observer.categories.names, data.batch_size)
+    names = data.unit_categories, observer.categories.names
+    predictor = Predictor(models, *names, data.batch_size, precision)
     return Subject(data.pool, setting, predictor, keep)
 
 
@@ -66,7 +69,7 @@ def evaluate(
             disk is full.
     """
     start = perf_counter()
-    subject = subject_of(data, models)
+    subject = subject_of(data, models, protocol.precision)
     asked, protocol = protocol, protocol.available(subject.predict.gives)
     if left_out := [
         name for name in asked.approaches if name not in protocol.approaches and asked.only is None

@@ -184,7 +184,7 @@ def _look_around(
     room = Band(0.0, scene.ceiling_height - scene.floor_height)
     for pose in _looks(points, spec.camera):
         camera_to_world = spec.camera.to_world(pose, scene.floor_height)
-        image = renderer.render(spec.camera, camera_to_world)
+        image = renderer.render(spec.camera, camera_to_world, colour=False)
         frame = spec.camera, camera_to_world, scene.floor_height
         splat(image.depth, *frame, spec.obstacles, grid, occupied)
         categories = lookup[np.maximum(image.instance, 0)]

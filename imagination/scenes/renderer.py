@@ -34,7 +34,7 @@ class Image(NamedTuple):
 class SceneRenderer(Protocol):
     """Renders one scene."""
 
-    def render(self, camera: Camera, camera_to_world: Float[np.ndarray, "4 4"]) -> Image:
+    def render(self, camera: Camera, camera_to_world: Float[np.ndarray, "4 4"], colour: bool = True) -> Image:
         """What `camera` sees from a pose with six degrees of freedom, as `Renderer.render` gives it."""
 
 
@@ -88,12 +88,13 @@ class Renderer:
         self._faces = _Faces(mesh.face_instance, mesh.face_material, mesh.face_uv, _shades(mesh, lighting))
         self._atlas = _pack(mesh.materials)
 
-    def render(self, camera: Camera, camera_to_world: Float[np.ndarray, "4 4"]) -> Image:
+    def render(self, camera: Camera, camera_to_world: Float[np.ndarray, "4 4"], colour: bool = True) -> Image:
         """What `camera` sees from a pose with six degrees of freedom.
 
         Args:
             camera: its size and field of view; its mounting is already part of the pose.
             camera_to_world: rigid transform from the optical frame (x right, y down, z forward) to the world's.
+            colour: whether `rgb` will be looked at; a renderer may leave it black otherwise.
 
         Raises:
             UserError: if the pose is not a finite rigid transform.
@@ -113,6 +114,7 @@ class Renderer:
             directions,
             self._faces,
             self._atlas,
+            colour,
             image.rgb.reshape(-1, 3),
             image.depth.reshape(-1),
             image.instance.reshape(-1),
@@ -218,6 +220,7 @@ def _shade(
     directions: Float32[np.ndarray, "n 3"],
     faces: _Faces,
     atlas: _Atlas,
+    colour: bool,
     rgb: UInt8[np.ndarray, "n 3"],
     depth: Float32[np.ndarray, " n"],
     instance: Int32[np.ndarray, " n"],
@@ -230,6 +233,8 @@ def _shade(
             continue
         depth[ray] = hits.depth[ray]
         instance[ray] = faces.instance[face]
+        if not colour:
+            continue
         along = np.float32(0)
         for axis in range(3):
             along += hits.normal[ray, axis] * directions[ray, axis]

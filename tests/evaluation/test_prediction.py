@@ -53,6 +53,21 @@ def test_each_category_comes_from_the_unit_that_has_it() -> None:
     assert maps[:, :, 0, 0] == pytest.approx(np.array([[0.2, 0.3]]) + np.arange(3)[:, None] / 1000)
 
 
+def test_networks_answer_in_the_precision_asked_for() -> None:
+    class Sum(nn.Module):
+        categories = ("chair",)
+
+        def predict(self, batch: dict[str, Tensor]) -> Tensor:
+            ones = torch.ones(1, 1)
+            self.kind = (ones @ ones).dtype
+            return torch.zeros(len(batch["rgb"]), 1, 5, 5)
+
+    for precision, kind in (("32-true", torch.float32), ("bf16-mixed", torch.bfloat16)):
+        unit = Sum()
+        Predictor([unit], ["chair"], TABLE, 2, precision)(views(1), {"maps"})
+        assert unit.kind == kind
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_shuffling_gives_every_view_the_colours_of_another(count: int) -> None:
     predictor = Predictor([Constant(chair=0.0)], ["chair"], TABLE, 2)
@@ -81,8 +96,10 @@ def test_networks_that_do_not_fit_together_are_refused() -> None:
         Predictor([Painter("chair"), Painter("chair")], ["chair"], TABLE, 2)
 
 
-def test_the_fingerprint_follows_the_weights() -> None:
+def test_the_fingerprint_follows_weights_and_precision() -> None:
+    kinds = [(0.1, "32-true"), (0.2, "32-true"), (0.1, "32-true"), (0.1, "bf16-mixed")]
     prints = {
-        Predictor([Constant(chair=value)], ["chair"], TABLE, 2).fingerprint for value in (0.1, 0.2, 0.1)
+        Predictor([Constant(chair=value)], ["chair"], TABLE, 2, precision).fingerprint
+        for value, precision in kinds
     }
-    assert len(prints) == 2
+    assert len(prints) == 3

@@ -137,6 +137,7 @@ def test_homes_without_the_category_are_left_out(subject: Subject, report: Repor
     ("change", "message"),
     [
         ({"known_homes": -1}, "known_homes: got -1"),
+        ({"precision": "half"}, "evaluation.precision: got 'half'"),
         ({"cell_widths": [0.0]}, r"cell_widths: got 0\.0"),
         ({"cell_widths": []}, "cell_widths: got 0"),
         ({"viewpoint_sets": 0}, "viewpoint_sets: got 0"),

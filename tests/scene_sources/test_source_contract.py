@@ -49,6 +49,15 @@ def looks(scene: Scene) -> list[tuple[Pose, Image]]:
     return [(pose, renderer.render(CAMERA, CAMERA.to_world(pose, scene.floor_height))) for pose in poses]
 
 
+def test_without_colour_the_rest_is_the_same(scene: Scene, looks: list[tuple[Pose, Image]]) -> None:
+    for pose, image in looks[:4]:
+        camera_to_world = CAMERA.to_world(pose, scene.floor_height)
+        plain = renderer_of(scene).render(CAMERA, camera_to_world, colour=False)
+        np.testing.assert_array_equal(plain.depth, image.depth)
+        np.testing.assert_array_equal(plain.instance, image.instance)
+        assert image.rgb.any()
+
+
 def test_the_smallest_source_is_as_short_as_the_docs_say() -> None:
     files = [ROOT / "tests/plugins_example" / path for path in EXAMPLE]
     lines = sum(len(path.read_text().splitlines()) for path in files)

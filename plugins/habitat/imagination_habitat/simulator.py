@@ -73,8 +73,8 @@ class HabitatRenderer:
         for semantic_id, instance in rows.items():
             self._lookup[semantic_id] = instance
 
-    def render(self, camera: Camera, camera_to_world: Float[np.ndarray, "4 4"]) -> Image:
-        """What `camera` sees; ids of the simulator that no object has become 0.
+    def render(self, camera: Camera, camera_to_world: Float[np.ndarray, "4 4"], colour: bool = True) -> Image:
+        """What `camera` sees, always in colour; ids of the simulator that no object has become 0.
 
         Raises:
             UserError: if the simulator gives images of another form.
