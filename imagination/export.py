@@ -34,6 +34,8 @@ def validate(config: DictConfig) -> None:
         raise UserError(f"views: got {config.views}, expected a whole number")
     check_range("tolerance", config.tolerance, 0.0, 1.0)
     check_range("max_loss", config.max_loss, 0.0, 1.0)
+    if not isinstance(config.look_once, bool):
+        raise UserError(f"look_once: got {config.look_once!r}, expected true or false")
 
 
 @command("export", validate)
@@ -42,6 +44,8 @@ def main(config: DictConfig) -> None:
     from imagination.checkpoints import Checkpoint  # with it comes torch, which --help does without
     from imagination.deployment import export
     from imagination.deployment.load import load
+    from imagination.deployment.torch_module import CheckpointModule
+    from imagination.mapping.module import SideBySide
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     paths = [config.ckpt] if isinstance(config.ckpt, str) else list(config.ckpt)
@@ -57,8 +61,9 @@ def main(config: DictConfig) -> None:
         export.sample_views(run, "train", CALIBRATION_VIEWS) if config.precision == "int8" else samples
     )
     with runs.replacing(file) as temporary:  # an earlier file stays unless this one is good
-        export.export(checkpoints, temporary, config.format, config.precision, calibration)
-        check = export.compare(load(temporary), load(paths), samples)
+        export.export(checkpoints, temporary, config.format, config.precision, calibration, config.look_once)
+        reference = SideBySide([CheckpointModule(Path(path), config.look_once) for path in paths])
+        check = export.compare(load(temporary), reference, samples)
         told = f"on {len(samples)} views: largest difference {check.difference:.2g}, IoU {check.told()}"
         unseen = set(run.unit_categories) - check.iou.keys()
         if config.precision != "float32" and unseen:

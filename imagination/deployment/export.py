@@ -74,7 +74,12 @@ class InBfloat16(nn.Module):
 
 
 def export(
-    checkpoints: Sequence[Checkpoint], path: Path, format: str, precision: str, calibration: Sequence[Sample]
+    checkpoints: Sequence[Checkpoint],
+    path: Path,
+    format: str,
+    precision: str,
+    calibration: Sequence[Sample],
+    look_once: bool = False,
 ) -> None:
     """Write the units of some checkpoints, side by side, into one file.
 
@@ -84,13 +89,15 @@ def export(
         format: onnx or torch_export.
         precision: one that the format has; see `PRECISIONS`.
         calibration: views that int8's ranges are taken from; one of them is traced.
+        look_once: see `Probabilities`.
 
     Raises:
         UserError: if what writes the format is not installed, the units do not fit together, or the disk is full.
     """
-    module = Probabilities([checkpoint.model().unit for checkpoint in checkpoints])  # type: ignore[misc]
+    units = [checkpoint.model().unit for checkpoint in checkpoints]
+    module = Probabilities(units, look_once)  # type: ignore[arg-type]
     description = reduce(joined, [describe(checkpoint.config) for checkpoint in checkpoints])
-    text = description.to_json(precision=precision, normalisation=normalisation(module))
+    text = description.to_json(precision=precision, normalisation=normalisation(module), look_once=look_once)
     example = inputs(calibration[0].observation)
     with torch.no_grad(), warnings.catch_warnings():  # torch's own, about its exporter
         warnings.simplefilter("ignore")

@@ -32,11 +32,15 @@ class Probabilities(nn.Module):
 
     Args:
         units: in evaluation mode.
+        look_once: leave out the mirror image of a view, about which they may otherwise be asked as well.
     """
 
-    def __init__(self, units: list[Unit]) -> None:
+    def __init__(self, units: list[Unit], look_once: bool = False) -> None:
         super().__init__()
         self.units = nn.ModuleList(units).eval()
+        for part in self.units.modules():
+            if isinstance(part, Unit) and look_once:
+                part.mirrored_answers = False
         self.heights = [
             f"{name}.mount_height" for name, part in self.units.named_modules() if isinstance(part, Returns)
         ]
@@ -63,14 +67,18 @@ class Probabilities(nn.Module):
 class CheckpointModule:
     """A checkpoint of imagination.train.
 
+    Args:
+        path: of its file.
+        look_once: see `Probabilities`.
+
     Raises:
         UserError: if it cannot be read; see `Checkpoint`.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, look_once: bool = False) -> None:
         checkpoint = Checkpoint.read(path)
         self.description = describe(checkpoint.config)
-        self._run = Probabilities([checkpoint.model().unit])  # type: ignore[list-item]
+        self._run = Probabilities([checkpoint.model().unit], look_once)  # type: ignore[list-item]
 
     @torch.inference_mode()
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:

@@ -29,6 +29,7 @@ class ProjectedUnit(Unit):
         ego: grid of the maps.
         max_height: metres above the floor; higher returns, of lamps and ceilings, are left out.
         width: channels of the image features that are carried over.
+        head_window: as of `ImaginationUnit`.
         categories, mirrored_answers: as of every `Unit`.
     """
 
@@ -40,6 +41,7 @@ class ProjectedUnit(Unit):
         ego: EgoGrid,
         max_height: float,
         width: int,
+        head_window: float,
         categories: Sequence[str],
         mirrored_answers: bool = False,
     ) -> None:
@@ -48,7 +50,7 @@ class ProjectedUnit(Unit):
         self.reduce = Convolution(encoder.channels, width, kernel=1)
         self.projection = Projection(camera, ego, max_height)
         self.backbone = backbone(in_channels=2 + width + 1, image_channels=0)
-        self.head = prediction_head(self.backbone.width, len(categories))
+        self.head = prediction_head(self.backbone.width, len(categories), ego, head_window)
 
     def logits(
         self,

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from imagination.errors import UserError, check_range
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
+from imagination.geometry.morphology import kernel_cells
 from imagination.units.backbones import Backbone
 from imagination.units.encoders import TimmEncoder
 from imagination.units.returns import Returns
@@ -80,6 +81,7 @@ class ImaginationUnit(Unit):
         ego: grid of the maps.
         heights: bounds of the bands above the floor, ascending, metres; fewer than two give no band.
         height_jitter: while training, the heights in a view are scaled by a random factor of 1 ± this.
+        head_window: side of the square that logits are averaged and dilated over, metres; see `prediction_head`.
         categories, mirrored_answers: as of every `Unit`.
 
     Raises:
@@ -94,6 +96,7 @@ class ImaginationUnit(Unit):
         ego: EgoGrid,
         heights: Sequence[float],
         height_jitter: float,
+        head_window: float,
         categories: Sequence[str],
         mirrored_answers: bool = False,
     ) -> None:
@@ -101,7 +104,7 @@ class ImaginationUnit(Unit):
         self.encoder = encoder
         self.bands = HeightBands(camera, ego, heights, height_jitter)
         self.backbone = backbone(in_channels=2 + self.bands.count, image_channels=encoder.channels)
-        self.head = prediction_head(self.backbone.width, len(categories))
+        self.head = prediction_head(self.backbone.width, len(categories), ego, head_window)
 
     def logits(
         self,
@@ -154,8 +157,21 @@ class HeightBands(nn.Module):
         return self.heights[0] / (1 + jitter), self.heights[-1] / (1 - jitter)
 
 
-def prediction_head(width: int, categories: int) -> nn.Conv2d:
-    """The last layer: logits of every category, about `PRIOR` to begin with."""
+def prediction_head(width: int, categories: int, ego: EgoGrid, window: float) -> nn.Sequential:
+    """The last layers: logits of every category, about `PRIOR` to begin with, averaged and dilated over a window.
+
+    The truth is what fills cells of solid boxes; nothing in it is thin. A head that averages its logits and then takes
+    the largest within a window draws nothing thinner than that; the paper's draws cell by cell.
+
+    Args:
+        width: channels of the features.
+        categories: how many.
+        ego: grid of the maps.
+        window: side of the square, metres, made an odd number of cells so that nothing shifts; 0 for one cell.
+    """
+    reach = kernel_cells(check_range("scale.head_window", window, 0.0, 2.0, "m"), ego.resolution) // 2
+    average = nn.AvgPool2d(2 * reach + 1, stride=1, padding=reach, count_include_pad=False)
+    largest = nn.MaxPool2d(2 * reach + 1, stride=1, padding=reach)
     head = nn.Conv2d(width, categories, 1)
     nn.init.constant_(head.bias, log(PRIOR / (1 - PRIOR)))  # type: ignore[arg-type]
-    return head
+    return nn.Sequential(head, average, largest)

@@ -14,7 +14,7 @@ from imagination.checkpoints import Checkpoint
 from imagination.config import compose
 from imagination.deployment.export import Sample, compare, export, sample_views
 from imagination.deployment.load import load
-from imagination.deployment.torch_module import inputs
+from imagination.deployment.torch_module import CheckpointModule, inputs
 from imagination.errors import UserError
 from imagination.mapping.module import Observation
 from imagination.mapping.semantic import SemanticMapper
@@ -53,10 +53,31 @@ def test_it_answers_as_pytorch(files: Path, name: str) -> None:
         assert np.abs(module(lower) - module(views[0].observation))[channel].max() > 1e-3
 
 
+def test_a_unit_may_look_once(files: Path, tmp_path: Path) -> None:
+    chair, views = Checkpoint.read(files / "chair.ckpt"), samples(3)
+    assert chair.config.scale.mirrored_answers
+    export([chair], tmp_path / "once.onnx", "onnx", "float32", views, look_once=True)
+    once, twice = load(tmp_path / "once.onnx"), load(files / "chair.onnx")
+    assert compare(once, CheckpointModule(files / "chair.ckpt", look_once=True), views).difference < 1e-4
+    for view in views:
+        own = view.observation
+        mirror = own._replace(
+            **{
+                name: np.ascontiguousarray(getattr(own, name)[:, ::-1])
+                for name in ("rgb", "depth", "occupied", "seen")
+            }
+        )
+        logits = [np.log(answer / (1 - answer)) for answer in (once(own), once(mirror)[..., ::-1])]
+        both = 1 / (1 + np.exp(-np.mean(logits, axis=0)))
+        np.testing.assert_allclose(twice(own), both, atol=1e-4)
+        assert np.abs(twice(own) - once(own)).max() > 1e-3
+
+
 def test_what_the_file_says_of_itself(files: Path) -> None:
     model = onnx.load(files / "both.onnx")
     told = json.loads({entry.key: entry.value for entry in model.metadata_props}["imagination"])
     assert told["categories"] == ["chair", "bed"] and told["precision"] == "float32"
+    assert told["look_once"] is False
     assert told["ego"] == {"resolution": EGO.resolution, "cells": EGO.cells}
     assert told["camera"]["width"] == CAMERA.width and told["camera"]["mount_height"] == 1.25
     np.testing.assert_allclose(

@@ -58,8 +58,8 @@ class Stopwatch:
         return answer
 
 
-@pytest.fixture(scope="module")
-def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module", params=[True, False], ids=["looks once", "looks twice"])
+def unit(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
     """Three units of width 16 (the desk's), each with an encoder of its own, side by side in one ONNX file."""
     folder = tmp_path_factory.mktemp("units")
     choices = ("scale=desk", "scale.precision=32-true")
@@ -71,8 +71,9 @@ def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
     view = project_depth(depth, DESK, EgoGrid.of_extent(5.22, 0.06), Toy().description.obstacles)
     first = Observation(rgb, depth, view.occupied, view.seen, DESK.mount_height)
     sample = Sample(first, np.zeros((3, 87, 87), np.bool_))
-    export(checkpoints, folder / "all.onnx", "onnx", "float32", [sample])
-    return folder / "all.onnx"
+    file = folder / ("once.onnx" if request.param else "twice.onnx")
+    export(checkpoints, file, "onnx", "float32", [sample], look_once=request.param)
+    return file
 
 
 @pytest.mark.slow
@@ -97,10 +98,10 @@ def test_one_frame_at_desk_scale_takes_fifty_milliseconds(unit: Path, robot: str
     p50, p95 = np.percentile(milliseconds, [50, 95])
     rest = np.median(milliseconds - network)
     print(
-        f"\none frame of {robot}, three units of width 16: p50 {p50:.1f} ms, p95 {p95:.1f} ms; "
+        f"\none frame of {robot}, three units of width 16, {unit.stem}: p50 {p50:.1f} ms, p95 {p95:.1f} ms; "
         f"without the network {rest:.2f} ms"
     )
-    assert p50 < 50
+    assert p50 < (50 if unit.stem == "once" else 75)
     assert p95 <= 1.6 * p50
     assert rest < 6
 

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
@@ -72,7 +74,27 @@ def test_mirrored_answers_are_the_mean_of_both_looks(variant: str) -> None:
         torch.testing.assert_close(twice(*views), (straight + mirrored) / 2, rtol=1e-4, atol=1e-4)
         with torch.autocast("cpu", torch.bfloat16):
             assert twice(*views).isfinite().all()
-    assert (straight - mirrored).abs().max() > 0.01
+    assert (straight - mirrored).abs().max() > 2e-3
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(("window", "cells"), [(0.0, 1), (0.2, 3), (0.36, 3), (0.5, 5)])
+def test_heads_draw_with_a_brush(variant: str, window: float, cells: int) -> None:
+    plain, brushed = (
+        build(f"+model={variant}", f"scale.head_window={each}", "scale.mirrored_answers=false").eval()
+        for each in (0.0, window)
+    )
+    views = inputs(batch_for())
+    with torch.no_grad():
+        thin, thick = plain(*views)[:, 0].numpy(), brushed(*views)[:, 0].numpy()
+    for before, after in zip(thin, thick, strict=True):
+        weight, smooth = (
+            cv2.blur(each, (cells, cells), borderType=cv2.BORDER_CONSTANT)
+            for each in (np.ones_like(before), before)
+        )
+        np.testing.assert_allclose(
+            cv2.dilate(smooth / weight, np.ones((cells, cells))), after, rtol=1e-4, atol=1e-5
+        )
 
 
 @pytest.mark.parametrize("cells", [9, 33, 87, 261])
