@@ -60,7 +60,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.final_learning_rate": (0.0, 10.0, ""),
     "scale.unit_width": (1, 1024, "channels"),
     "scale.height_jitter": (0.0, 0.5, ""),
-    "scale.head_window": (0.0, 2.0, "m"),
+    "scale.brush": (0.0, 2.0, "m"),
     "scale.mirrored_share": (0.0, 1.0, ""),
     "scale.encoder_shrink": (1, 64, ""),
     "scale.viewpoint_sets": (1, 10_000, ""),

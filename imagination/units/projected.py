@@ -13,7 +13,7 @@ from imagination.geometry.grid import EgoGrid
 from imagination.units.backbones import Backbone, Convolution
 from imagination.units.encoders import TimmEncoder
 from imagination.units.returns import Returns
-from imagination.units.unit import Unit, prediction_head
+from imagination.units.unit import Unit, brush_cells, prediction_head
 
 
 class ProjectedUnit(Unit):
@@ -29,8 +29,8 @@ class ProjectedUnit(Unit):
         ego: grid of the maps.
         max_height: metres above the floor; higher returns, of lamps and ceilings, are left out.
         width: channels of the image features that are carried over.
-        head_window: as of `ImaginationUnit`.
         categories, mirrored_answers: as of every `Unit`.
+        brush: side of its square, metres.
     """
 
     def __init__(
@@ -41,16 +41,16 @@ class ProjectedUnit(Unit):
         ego: EgoGrid,
         max_height: float,
         width: int,
-        head_window: float,
         categories: Sequence[str],
         mirrored_answers: bool = False,
+        brush: float = 0.0,
     ) -> None:
-        super().__init__(categories, mirrored_answers)
+        super().__init__(categories, mirrored_answers, brush_cells(brush, ego))
         self.encoder = encoder
         self.reduce = Convolution(encoder.channels, width, kernel=1)
         self.projection = Projection(camera, ego, max_height)
         self.backbone = backbone(in_channels=2 + width + 1, image_channels=0)
-        self.head = prediction_head(self.backbone.width, len(categories), ego, head_window)
+        self.head = prediction_head(self.backbone.width, len(categories))
 
     def logits(
         self,

@@ -7,6 +7,7 @@ from math import log
 import torch
 from jaxtyping import Float, Float16, UInt8
 from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d, max_pool2d
 
 from imagination.errors import UserError, check_range
 from imagination.geometry.camera import Camera
@@ -24,17 +25,20 @@ class Unit(nn.Module, ABC):
     """What every unit is: one camera image and its depth in, logits of the egocentric maps of some categories out.
 
     A home in a mirror is a home too, so a unit may answer, outside training, with the mean of what it says of the view
-    and of the view in a mirror; the paper's units look once.
+    and of the view in a mirror; the paper's units look once. Nothing in the truth is thin, boxes that are filled, so
+    it may answer with a brush, see `brushed`; the paper's units draw cell by cell.
 
     Args:
         categories: what to imagine, one map each; the paper has one unit for each category.
         mirrored_answers: whether to look twice, outside training.
+        brush: cells a side of the brush outside training, an odd number; 1 for none.
     """
 
-    def __init__(self, categories: Sequence[str], mirrored_answers: bool = False) -> None:
+    def __init__(self, categories: Sequence[str], mirrored_answers: bool = False, brush: int = 1) -> None:
         super().__init__()
         self.categories = list(categories)
         self.mirrored_answers = mirrored_answers
+        self.brush = brush
 
     def forward(
         self,
@@ -51,10 +55,12 @@ class Unit(nn.Module, ABC):
             occupied, seen: the depth's projection into the egocentric grid, 0 or 1.
         """
         logits = self.logits(rgb, depth, occupied, seen)
-        if self.training or not self.mirrored_answers:
+        if self.training:
             return logits
-        mirrored = self.logits(*(view.flip(-1) for view in (rgb, depth, occupied, seen)))
-        return (logits + mirrored.flip(-1)) / 2
+        if self.mirrored_answers:
+            mirrored = self.logits(*(view.flip(-1) for view in (rgb, depth, occupied, seen)))
+            logits = (logits + mirrored.flip(-1)) / 2
+        return brushed(logits, self.brush)
 
     @abstractmethod
     def logits(
@@ -81,8 +87,8 @@ class ImaginationUnit(Unit):
         ego: grid of the maps.
         heights: bounds of the bands above the floor, ascending, metres; fewer than two give no band.
         height_jitter: while training, the heights in a view are scaled by a random factor of 1 ± this.
-        head_window: side of the square that logits are averaged and dilated over, metres; see `prediction_head`.
         categories, mirrored_answers: as of every `Unit`.
+        brush: side of its square, metres.
 
     Raises:
         UserError: if the heights do not ascend or the jitter is out of range.
@@ -96,15 +102,15 @@ class ImaginationUnit(Unit):
         ego: EgoGrid,
         heights: Sequence[float],
         height_jitter: float,
-        head_window: float,
         categories: Sequence[str],
         mirrored_answers: bool = False,
+        brush: float = 0.0,
     ) -> None:
-        super().__init__(categories, mirrored_answers)
+        super().__init__(categories, mirrored_answers, brush_cells(brush, ego))
         self.encoder = encoder
         self.bands = HeightBands(camera, ego, heights, height_jitter)
         self.backbone = backbone(in_channels=2 + self.bands.count, image_channels=encoder.channels)
-        self.head = prediction_head(self.backbone.width, len(categories), ego, head_window)
+        self.head = prediction_head(self.backbone.width, len(categories))
 
     def logits(
         self,
@@ -157,21 +163,27 @@ class HeightBands(nn.Module):
         return self.heights[0] / (1 + jitter), self.heights[-1] / (1 - jitter)
 
 
-def prediction_head(width: int, categories: int, ego: EgoGrid, window: float) -> nn.Sequential:
-    """The last layers: logits of every category, about `PRIOR` to begin with, averaged and dilated over a window.
+def brush_cells(size: float, ego: EgoGrid) -> int:
+    """Cells a side of a brush of `size` metres: an odd number, so that nothing shifts.
 
-    The truth is what fills cells of solid boxes; nothing in it is thin. A head that averages its logits and then takes
-    the largest within a window draws nothing thinner than that; the paper's draws cell by cell.
-
-    Args:
-        width: channels of the features.
-        categories: how many.
-        ego: grid of the maps.
-        window: side of the square, metres, made an odd number of cells so that nothing shifts; 0 for one cell.
+    >>> [brush_cells(size, EgoGrid(resolution=0.06, cells=87)) for size in (0.0, 0.12, 0.18, 0.24)]
+    [1, 3, 3, 5]
     """
-    reach = kernel_cells(check_range("scale.head_window", window, 0.0, 2.0, "m"), ego.resolution) // 2
-    average = nn.AvgPool2d(2 * reach + 1, stride=1, padding=reach, count_include_pad=False)
-    largest = nn.MaxPool2d(2 * reach + 1, stride=1, padding=reach)
+    return 2 * (kernel_cells(check_range("scale.brush", size, 0.0, 2.0, "m"), ego.resolution) // 2) + 1
+
+
+def brushed(logits: Float[Tensor, "b c v v"], cells: int) -> Float[Tensor, "b c v v"]:
+    """Logits averaged over a square of so many cells a side, then dilated by it: nothing thinner is drawn."""
+    if cells == 1:
+        return logits
+    reach = cells // 2
+    maps = logits.float().flatten(0, 1)[None]  # all maps as channels of one: torch pools these in parallel
+    mean = avg_pool2d(maps, cells, stride=1, padding=reach, count_include_pad=False)
+    return max_pool2d(mean, cells, stride=1, padding=reach).view_as(logits)
+
+
+def prediction_head(width: int, categories: int) -> nn.Conv2d:
+    """The last layer: logits of every category, about `PRIOR` to begin with."""
     head = nn.Conv2d(width, categories, 1)
     nn.init.constant_(head.bias, log(PRIOR / (1 - PRIOR)))  # type: ignore[arg-type]
-    return nn.Sequential(head, average, largest)
+    return head

@@ -44,8 +44,8 @@ def liven(unit: torch.nn.Module, config: DictConfig) -> None:
             unit(rgb, depth, maps[:, :1], maps[:, 1:])
         logits = unit.eval()(rgb, depth, maps[:, :1], maps[:, 1:])
         scale = 2 / logits.std()
-        unit.head[0].weight.mul_(scale)
-        unit.head[0].bias.sub_(logits.mean()).mul_(scale)
+        unit.head.weight.mul_(scale)
+        unit.head.bias.sub_(logits.mean()).mul_(scale)
 
 
 def samples(count: int, categories: int = 1) -> list[Sample]:

@@ -31,7 +31,7 @@ def training(kind: type = ImaginationUnit, **options: float) -> UnitTraining:
         "backbone": partial(UNet, width=4),
         "categories": ["chair"],
     }
-    parts |= {"camera": CAMERA, "ego": EGO, "head_window": 0.0}
+    parts |= {"camera": CAMERA, "ego": EGO}
     if kind is ProjectedUnit:
         parts |= {"max_height": 1.5, "width": 4}
     else:
