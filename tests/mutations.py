@@ -589,6 +589,27 @@ MUTATIONS = [
         "tests/units/test_contract.py",
     ),
     Mutation(
+        "head: logits are not averaged",
+        "units/unit.py",
+        "return nn.Sequential(head, average, largest)",
+        "return nn.Sequential(head, largest)",
+        "tests/units/test_contract.py -k brush",
+    ),
+    Mutation(
+        "head: cells beyond the rim count as zeros",
+        "units/unit.py",
+        "count_include_pad=False",
+        "count_include_pad=True",
+        "tests/units/test_contract.py -k brush",
+    ),
+    Mutation(
+        "networks: the precision is left as it is",
+        "precision.py",
+        'enabled=precision != "32-true"',
+        "enabled=False",
+        "tests/evaluation/test_prediction.py",
+    ),
+    Mutation(
         "HRNet: the mirrored answer is not turned back",
         "baselines/training.py",
         "return (logits + mirrored.flip(-1)) / 2",
