@@ -25,6 +25,7 @@ from omegaconf.errors import OmegaConfBaseException
 from imagination import plugins
 from imagination.errors import UserError, check_choice, check_range
 from imagination.geometry.grid import cells_of
+from imagination.precision import PRECISIONS
 from imagination.runs import check_name
 
 RANGES: Mapping[str, tuple[float, float, str]] = {
@@ -213,6 +214,9 @@ def validate(config: DictConfig) -> None:
     for key, bounds in RANGES.items():
         if OmegaConf.select(config, key.partition(".")[0]) is not None:  # not every command has a trainer
             _check_number(key, OmegaConf.select(config, key), *bounds)
+    for key in ("scale.precision", "trainer.precision", "evaluation.precision"):
+        if OmegaConf.select(config, key.partition(".")[0]) is not None:
+            check_choice(key, OmegaConf.select(config, key), PRECISIONS)
     if not isinstance(config.scale.mirrored_answers, bool):
         raise UserError(
             f"scale.mirrored_answers: got {config.scale.mirrored_answers!r}, expected true or false"

@@ -19,6 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from imagination import runs
 from imagination.config import command, compose, validate
 from imagination.errors import UserError
+from imagination.resume import top
 
 if TYPE_CHECKING:
     from imagination.checkpoints import Checkpoint
@@ -89,7 +90,7 @@ def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictC
 
     Raises:
         UserError: if two checkpoints give the same category, or one is of other categories, another resolution or
-            another camera than the others or the command line ask for.
+            another camera than the others or the command line ask for, or the command line changes networks.
     """
     from imagination.checkpoints import KEY
 
@@ -104,6 +105,7 @@ def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictC
     config = compose(
         "evaluate", [*inherited, f"unit_categories={json.dumps(every)}", "paths.run=.", *overrides]
     )
+    _refuse_other_networks(config, overrides)
     validate(config)
     for of_kind in filter(None, by_kind.values()):
         _refuse_missing(of_kind, config)
@@ -144,6 +146,17 @@ def _refuse_missing(checkpoints: Sequence[Checkpoint], config: DictConfig) -> No
             f"{held}, but the evaluation asks for {', '.join(config.unit_categories)}; add a checkpoint of "
             f"{', '.join(missing)}, or leave out what overrides unit_categories"
         )
+
+
+def _refuse_other_networks(config: DictConfig, overrides: Sequence[str]) -> None:
+    """Refuse overrides of what networks are: they stay as they were trained, so nothing would follow from them."""
+    described = OmegaConf.to_yaml(config.model)  # with its references to the scale
+    for text in overrides:
+        if top(text) == "model" or (top(text) == "scale" and f"${{{_key(text)}}}" in described):
+            raise UserError(
+                f"{_key(text)}: got {text}, but networks are evaluated as they were trained; leave it "
+                "out, or train one with it"
+            )
 
 
 def _key(override: str) -> str:

@@ -9,7 +9,8 @@ from imagination.errors import check_choice
 if TYPE_CHECKING:  # commands name precisions before they need torch
     import torch
 
-PRECISIONS = ("auto", "32-true", "64-true", "bf16-mixed", "bf16-true", "16-mixed", "16-true")
+PRECISIONS = ("auto", "32-true", "bf16-mixed", "16-mixed")
+"""Lightning's others change the weights' type; units bring what they are given to float32."""
 
 
 def resolved(asked: str) -> str:
@@ -31,11 +32,13 @@ def resolved(asked: str) -> str:
     return "bf16-mixed" if native else "32-true"
 
 
-def answering(asked: str) -> torch.autocast:
-    """A context in which trained networks, whose weights are float32, answer in the precision they were trained in."""
+def answering(asked: str, device: str) -> torch.autocast:
+    """A context in which networks on a device, "cpu" or "cuda", answer in a precision; their weights are float32.
+
+    As in training, bfloat16 takes the place of float16 on a CPU.
+    """
     import torch
 
-    kinds = {"bf16": torch.bfloat16, "16": torch.float16}
-    kind = kinds.get(resolved(asked).partition("-")[0])
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    return torch.autocast(device, kind or torch.bfloat16, enabled=kind is not None)
+    precision = resolved(asked)
+    half = torch.float16 if precision == "16-mixed" and device != "cpu" else torch.bfloat16
+    return torch.autocast(device, half, enabled=precision != "32-true")

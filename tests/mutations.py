@@ -584,9 +584,30 @@ MUTATIONS = [
     Mutation(
         "unit: the mirrored answer is not turned back",
         "units/unit.py",
-        "return (logits + mirrored.flip(-1)) / 2",
-        "return (logits + mirrored) / 2",
+        "logits = (logits + mirrored.flip(-1)) / 2",
+        "logits = (logits + mirrored) / 2",
         "tests/units/test_contract.py",
+    ),
+    Mutation(
+        "brush: logits are not averaged",
+        "units/unit.py",
+        "max_pool2d(mean, cells",
+        "max_pool2d(maps, cells",
+        "tests/units/test_contract.py -k brush",
+    ),
+    Mutation(
+        "brush: cells beyond the rim count as zeros",
+        "units/unit.py",
+        "count_include_pad=False",
+        "count_include_pad=True",
+        "tests/units/test_contract.py -k brush",
+    ),
+    Mutation(
+        "networks: the precision is left as it is",
+        "precision.py",
+        'enabled=precision != "32-true"',
+        "enabled=False",
+        "tests/evaluation/test_prediction.py",
     ),
     Mutation(
         "HRNet: the mirrored answer is not turned back",

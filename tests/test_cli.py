@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT, Command
+from tests.test_resume import points
 
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
@@ -40,7 +41,13 @@ def test_a_whole_run(command: Command, tmp_path: Path) -> None:
         "config.yaml run.log tables/mapping.csv tables/mapping.md checkpoints/last.ckpt checkpoints/best.ckpt"
     ).split():
         assert (run / name).stat().st_size > 0, name
-    assert list(run.glob("tensorboard/events*")) and list(run.glob("figures/*.png"))
+    assert "networks in 32-true" in (run / "tables" / "mapping.md").read_text()
+    assert list(run.glob("figures/*.png"))
+    shown = set(points(run / "tensorboard"))
+    assert shown >= {f"train/{name}" for name in ("loss", "learning_rate", "samples_per_second")}
+    assert shown >= {f"val/{name}" for name in ("loss", "iou", "precision", "recall")}
+    assert shown >= {"global/chair/imagination/val", "global/chair/seg_gt/3m"}
+    assert shown >= {"views/val", "maps/chair/val", "maps/chair/3m"}  # pictures
     assert "tensorboard --logdir outputs/chair_unet" in done.stderr
     assert all(share in done.stderr for share in ("homes and truth", "training", "evaluation", "Peak memory"))
     again = next(line for line in done.stderr.splitlines() if line.startswith("Evaluate again: "))

@@ -86,6 +86,8 @@ def test_paper_holds_the_appendix() -> None:
     sizes = kernels.imaginable, kernels.neighbourhood, kernels.truth
     assert [kernel_cells(size, scale.resolution) for size in sizes] == [50, 31, 30]
     assert config.model.optimizer._target_ == "torch.optim.Adam"
+    assert (scale.mirrored_share, scale.mirrored_answers, scale.brush) == (0.0, False, 0.0)
+    assert list(scale.heights) == [] and scale.balanced_share == 0.0 and scale.encoder_shrink == 1
     assert config.aggregation_factor == 0.9
     assert config.callbacks.replay_buffer.aggregation_factor == 0.9
     assert config.mapping.registration.aggregation_factor == 0.9
@@ -102,6 +104,9 @@ def test_paper_holds_the_appendix() -> None:
         ("scale.cell_widths=[3.0,0]", "scale.cell_widths: got 0"),
         ("scale.cell_widths=3.0", "expected a list"),
         ("scale.mirrored_answers=maybe", "scale.mirrored_answers: got 'maybe', expected true or false"),
+        ("scale.precision=half", "scale.precision: got 'half', expected one of: 16-mixed"),
+        ("trainer.precision=64-true", "trainer.precision: got '64-true'"),
+        ("evaluation.precision=half", "evaluation.precision: got 'half'"),
         ("scale.rounds=2.5", "scale.rounds: got 2.5, expected a whole number"),
         ("trainer.max_epochs=null", "trainer.max_epochs: got None"),
         ("scale.world_extent=9000", "choose a coarser resolution or a smaller extent"),

@@ -112,7 +112,7 @@ class Predictor:
     def __call__(self, views: Views, wanted: Collection[str]) -> Predictions:
         """Those of `NEEDS` that are wanted, for each view."""
         answers: Predictions = {}
-        with answering(self.precision):
+        with answering(self.precision, self._device):
             if "maps" in wanted:
                 answers["maps"] = self._maps(views)
             if "maps_of_shuffled_rgb" in wanted:
@@ -124,6 +124,13 @@ class Predictor:
             if "images" in wanted:
                 answers["images"] = self._images(views)
         return answers
+
+    @property
+    def _device(self) -> str:
+        """Kind of the device that the networks are on, e.g. "cuda"."""
+        modules = (model for model in self.models if isinstance(model, nn.Module))
+        weights = (weight for module in modules for weight in module.parameters())
+        return next((weight.device.type for weight in weights), "cpu")
 
     def _maps(self, views: Views) -> Float32[np.ndarray, "n c v v"]:
         chunks = []

@@ -19,6 +19,7 @@ from imagination.evaluation.approaches import NEEDS, Setting
 from imagination.evaluation.outcome import Choices, Report
 from imagination.evaluation.prediction import Model, Predictor, Segmenter
 from imagination.evaluation.protocol import MappingProtocol, Subject
+from imagination.precision import resolved
 from imagination.scenes.scene import SpareHomes
 
 log = logging.getLogger(__name__)
@@ -89,7 +90,7 @@ def evaluate(
     origin = report.Provenance(
         command_line(),
         data.seed,
-        hardware(),
+        f"{hardware()}, networks in {resolved(protocol.precision)}",
         perf_counter() - start,
         report.declared_sensor(subject.setting, protocol.approaches),
     )

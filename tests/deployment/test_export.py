@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -58,7 +59,10 @@ def test_a_unit_may_look_once(tmp_path: Path) -> None:
     chair = Checkpoint.read(file)
     assert chair.config.scale.mirrored_answers
     export([chair], tmp_path / "once.onnx", "onnx", "float32", views, look_once=True)
-    once, twice = load(tmp_path / "once.onnx"), load(file)
+    export([chair], tmp_path / "twice.onnx", "onnx", "float32", views)
+    files = tmp_path / "once.onnx", tmp_path / "twice.onnx"
+    assert [told_by(each)["look_once"] for each in files] == [True, False]
+    once, twice = map(load, files)
     assert compare(once, CheckpointModule(file, look_once=True), views).difference < 1e-4
     for view in views:
         own = view.observation
@@ -74,11 +78,14 @@ def test_a_unit_may_look_once(tmp_path: Path) -> None:
         assert np.abs(twice(own) - once(own)).max() > 1e-3
 
 
+def told_by(file: Path) -> dict[str, Any]:
+    metadata = {entry.key: entry.value for entry in onnx.load(file).metadata_props}
+    return json.loads(metadata["imagination"])
+
+
 def test_what_the_file_says_of_itself(files: Path) -> None:
-    model = onnx.load(files / "both.onnx")
-    told = json.loads({entry.key: entry.value for entry in model.metadata_props}["imagination"])
+    told = told_by(files / "both.onnx")
     assert told["categories"] == ["chair", "bed"] and told["precision"] == "float32"
-    assert told["look_once"] is False
     assert told["ego"] == {"resolution": EGO.resolution, "cells": EGO.cells}
     assert told["camera"]["width"] == CAMERA.width and told["camera"]["mount_height"] == 1.25
     np.testing.assert_allclose(
@@ -192,6 +199,7 @@ def test_a_comparison_by_hand() -> None:
         (["ckpt=none.ckpt"], "got none.ckpt, but there is no such file"),
         (["ckpt=a.ckpt", "format=tflite"], "format: got 'tflite', expected one of: onnx, torch_export"),
         (["ckpt=a.ckpt", "precision=int4"], "expected one of: float32, int8"),
+        (["ckpt=a.ckpt", "look_once=maybe"], "look_once: got 'maybe', expected true or false"),
     ],
 )
 def test_mistakes_get_one_message(command: Command, arguments: list[str], told: str) -> None:
@@ -232,13 +240,19 @@ def test_bfloat16_costs_a_trained_unit_half_a_point_at_most(tmp_path: Path) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("format", "precision"),
-    [("onnx", "float32"), ("torch_export", "float32"), ("onnx", "int8"), ("torch_export", "bfloat16")],
+    ("format", "how"),
+    [
+        ("onnx", "precision=float32"),
+        ("onnx", "precision=int8"),
+        ("onnx", "look_once=true"),
+        ("torch_export", "precision=float32"),
+        ("torch_export", "precision=bfloat16"),
+    ],
 )
-def test_the_command(files: Path, command: Command, format: str, precision: str) -> None:
+def test_the_command(files: Path, command: Command, format: str, how: str) -> None:
     """On homes of the run; units that were never trained find little, so the limit on IoU is wide here."""
     chair, file = files / "chair.ckpt", f"chair{'.onnx' if format == 'onnx' else '.pt2'}"
-    arguments = [f"ckpt={chair}", f"format={format}", f"precision={precision}", "views=16", "max_loss=0.1"]
+    arguments = [f"ckpt={chair}", f"format={format}", how, "views=16", "max_loss=0.1"]
     done = command("export", *arguments, f"file={file}", timeout=600)
     assert done.returncode == 0, done.stderr
     assert "on 16 views: largest difference" in done.stderr

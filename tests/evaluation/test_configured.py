@@ -69,6 +69,21 @@ def test_an_override_reaches_everything_that_refers_to_it() -> None:
     assert config.evaluation.cell_widths == [4]
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        "model=projected",
+        "model/encoder=timm",
+        "model.unit.brush=0.1",
+        "scale.mirrored_answers=false",
+        "scale.brush=0.1",
+    ],
+)
+def test_networks_stay_as_they_were_trained(chair: Checkpoint, change: str) -> None:
+    with pytest.raises(UserError, match=f"got {change}, but networks are evaluated as they were trained"):
+        configured([chair], ["ckpt=best.ckpt", change])
+
+
 def test_the_registration_rule_can_be_swept(chair: Checkpoint) -> None:
     config = configured([chair], ["ckpt=best.ckpt", "mapping/registration=overwrite"])
     assert config.evaluation.approaches.imagination.rule._target_.endswith("Overwrite")

@@ -53,7 +53,11 @@ def test_each_category_comes_from_the_unit_that_has_it() -> None:
     assert maps[:, :, 0, 0] == pytest.approx(np.array([[0.2, 0.3]]) + np.arange(3)[:, None] / 1000)
 
 
-def test_networks_answer_in_the_precision_asked_for() -> None:
+@pytest.mark.parametrize("gpu", [False, True])
+def test_networks_answer_in_the_precision_asked_for(gpu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    # where the network is counts, not what the machine has
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: gpu)
+
     class Sum(nn.Module):
         categories = ("chair",)
 
@@ -62,7 +66,11 @@ def test_networks_answer_in_the_precision_asked_for() -> None:
             self.kind = (ones @ ones).dtype
             return torch.zeros(len(batch["rgb"]), 1, 5, 5)
 
-    for precision, kind in (("32-true", torch.float32), ("bf16-mixed", torch.bfloat16)):
+    for precision, kind in (
+        ("32-true", torch.float32),
+        ("bf16-mixed", torch.bfloat16),
+        ("16-mixed", torch.bfloat16),
+    ):
         unit = Sum()
         Predictor([unit], ["chair"], TABLE, 2, precision)(views(1), {"maps"})
         assert unit.kind == kind

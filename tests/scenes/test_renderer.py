@@ -94,6 +94,12 @@ def test_depth_is_along_the_optical_axis_not_along_the_ray() -> None:
     np.testing.assert_allclose(image.depth, 2.5, rtol=1e-6)
 
 
+def test_what_nobody_looks_at_is_not_shaded() -> None:
+    renderer = Renderer(facing(Material((1.0, 1.0, 1.0)), UNIT), Lighting((1.0, 1.0, 1.0)))
+    assert renderer.render(CAMERA, np.eye(4)).rgb.all()
+    assert not renderer.render(CAMERA, np.eye(4), colour=False).rgb.any()
+
+
 def test_camera_stands_upright_and_is_not_mirrored() -> None:
     scene = tiny_room()
     camera = Camera(64, 64, np.pi / 2, 1.25)
