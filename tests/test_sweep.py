@@ -66,6 +66,7 @@ def test_a_key_is_of_what_is_computed() -> None:
     key = key_of(compose("train", JOB))
     assert key == key_of(compose("train", [*JOB, "paths.outputs=elsewhere", "sweep_dir=old"]))
     assert key == key_of(compose("train", [*JOB, "+sweep=dilation"]))
+    assert key == key_of(compose("train", [*JOB, "cache.max_gigabytes=5"]))
     for change in ("seed=1", "kernels.imaginable=1.2", "mapping/registration=mean", "trainer.max_epochs=3"):
         assert key != key_of(compose("train", [*JOB, change]))
     trained = key_of(compose("train", JOB), members.EVALUATION_ONLY)
