@@ -16,6 +16,7 @@ from imagination import members, runs
 from imagination.config import compose, explain
 from imagination.errors import UserError
 from imagination.members import key_of
+from imagination.summary import settings
 from tests.conftest import ROOT, Command
 
 SWEEPS = sorted(path.stem for path in (ROOT / "conf" / "sweep").glob("*.yaml"))
@@ -129,6 +130,20 @@ def test_ready_made_sweeps_compose(name: str) -> None:
         for value in choices:
             keys.add(key_of(compose("train", [*JOB, f"{key}={value}".replace(" ", "")])))
         assert len(keys) >= len(choices)
+
+
+@pytest.mark.parametrize(
+    ("key", "choices"),
+    [
+        ("model.backbone", {"model/backbone=unet": "UNet", "model/backbone=fpn": "FPN"}),
+        ("model.unit", {"model=unit": "ImaginationUnit", "model=projected": "ProjectedUnit"}),
+        ("mapping.registration", {"mapping/registration=mean": "Mean", "mapping/registration=max": "Max"}),
+        ("model.encoder.name", {"model.encoder.name=resnet18": "resnet18", "model.encoder.name=a": "a"}),
+    ],
+)
+def test_tensorboard_tells_apart_what_is_built(key: str, choices: dict[str, str]) -> None:
+    shown = {choice: settings(compose("train", [*JOB, choice, "paths.run=."]))[key] for choice in choices}
+    assert shown == choices
 
 
 def swept(sweep: Path) -> list[dict[str, str]]:
