@@ -19,6 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from imagination import runs
 from imagination.config import command, compose, validate
 from imagination.errors import UserError
+from imagination.resume import top
 
 if TYPE_CHECKING:
     from imagination.checkpoints import Checkpoint
@@ -43,6 +44,8 @@ def main(config: DictConfig) -> None:
     protocol = instantiate(config.evaluation)  # refuses what is out of range before anything is written
     folder = new_folder(config, member)
     config.paths.run = str(folder)
+    found = [str(runs.within(Path(path))) for path in paths]  # `latest` will be another one tomorrow
+    config.ckpt = found[0] if isinstance(config.ckpt, str) else found
     with runs.logging_to(folder / "run.log"):
         runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
         try:
@@ -78,7 +81,7 @@ def evaluate(
             data,
             [network.to(device) for network in networks],
             folder,
-            lambda report: training_rows(checkpoints, report),
+            lambda report: training_rows(checkpoints, report, public=bool(config.ade20k)),
         )
     finally:
         data.close()
@@ -88,11 +91,16 @@ def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictC
     """The config of the evaluation: the first checkpoint's, with the categories of all, then the command line's.
 
     Raises:
-        UserError: if two checkpoints give the same category, or one is of other categories, another resolution or
-            another camera than the others or the command line ask for.
+        UserError: if two checkpoints give the same category, one is of other categories, another resolution or
+            another camera than the others or the command line ask for, or the command line asks for another network.
     """
     from imagination.checkpoints import KEY
 
+    if trained := [text for text in overrides if top(text) == "model"]:
+        raise UserError(
+            f"evaluate: got {' '.join(trained)}, but a network answers as it was trained; "
+            "train one with it, then evaluate that"
+        )
     by_kind = {kind: [one for one in checkpoints if one.predicts == kind] for kind in ("maps", "images")}
     for of_kind in by_kind.values():
         _refuse_twice(of_kind)

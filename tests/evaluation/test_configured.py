@@ -156,6 +156,13 @@ def test_another_camera_or_map_is_refused(chair: Checkpoint, override: str) -> N
         configured([chair], ["ckpt=best.ckpt", override])
 
 
+@pytest.mark.parametrize("override", ["model.loss.alpha_max=90", "model/backbone=fpn", "model=projected"])
+def test_another_network_than_was_trained_is_refused(chair: Checkpoint, override: str) -> None:
+    """A sweep of it would compare a checkpoint with itself."""
+    with pytest.raises(UserError, match=f"evaluate: got {override}, but a network answers as it was trained"):
+        configured([chair], ["ckpt=best.ckpt", override])
+
+
 def test_nothing_but_plain_values_is_taken_from_a_checkpoint(chair: Checkpoint) -> None:
     for value in ("${oc.env:HOME}", "_target_"):
         strange = Checkpoint(chair.path, deepcopy(chair.state))
