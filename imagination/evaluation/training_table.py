@@ -33,7 +33,12 @@ def training_rows(checkpoints: Sequence[Checkpoint], report: Report, public: boo
         if name in report.homes
     ]
     return rows + [
-        {"network": SOURCE, "category": name, **dict.fromkeys(COUNTED, ""), "iou_first_person": f"{score:.4f}"}
+        {
+            "network": SOURCE,
+            "category": name,
+            **dict.fromkeys(COUNTED, ""),
+            "iou_first_person": f"{score:.4f}",
+        }
         for name, score in report.first_person.items()
         if public
     ]

@@ -76,9 +76,9 @@ def test_seen_and_unseen_cells_stand_apart(tmp_path: Path) -> None:
     table = {table.stem: table for table in layout.tables(Results(folder))}["iou_by_cells"]
     (seen, seen_lines), (_, unseen_lines) = table.blocks
     assert seen == "Cells that a view saw"
-    assert [[cell and cell.value for cell in line.cells] for line in seen_lines] == [
-        [0.1 * place, 0.1 * place + 0.02, 0.1 * place + 0.01, 0.1 * place + 0.03] for place in range(4)
-    ]  # columns by width, then category
+    for place, line in enumerate(seen_lines):  # columns by width, then category
+        values = [cell and cell.value for cell in line.cells]
+        assert values == pytest.approx([place / 10 + at for at in (0, 0.02, 0.01, 0.03)])
     assert [cell and cell.value for cell in unseen_lines[2].cells] == [0.0, 0.02, 0.01, 0.03]
     assert [line.name for line in seen_lines if line.cells[0] and line.cells[0].strong] == ["mine"]
     path.write_text("approach,category,cell_width\nimagination,chair,3\n")
