@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 @command("evaluate")
 def main(config: DictConfig) -> None:
     """Evaluate the checkpoints that `ckpt` names."""
-    if OmegaConf.is_missing(config, "ckpt"):
+    if OmegaConf.is_missing(config, "ckpt") or not config.ckpt:
         raise UserError(
             "ckpt: got none, expected a checkpoint: ckpt=outputs/<experiment>/latest/checkpoints/best.ckpt"
         )

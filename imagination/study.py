@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from imagination import runs
 from imagination.config import command, compose, validate
+from imagination.errors import UserError
 from imagination.evaluate import configured
 from imagination.members import EVALUATION_ONLY, key_of
 from imagination.progress import shares, stage
@@ -66,6 +67,8 @@ def check(experiments: Sequence[str], training: Sequence[str], evaluation: Seque
     from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint  # with it comes torch
     from imagination.evaluation.approaches import NEEDS
 
+    if not experiments:
+        raise UserError("experiments: got none, expected such as [chair_unet,segmentation_hrnet]")
     networks = []
     for experiment in experiments:
         config = planned(experiment, training)

@@ -109,6 +109,7 @@ def test_what_only_evaluation_reads_retrains_nothing() -> None:
     [
         (["chair_unet", "chair_best"], [], "got chair_unet and chair_best, which both give chair"),
         (["chair_unet", "segmentation_hrnet"], ["ade20k=a"], "got a beside checkpoint segmentation_hrnet"),
+        ([], [], "experiments: got none"),
         (["chair_unet"], ["evaluation.viewpoint_sets=0"], "viewpoint_sets: got 0"),
         (["chair_unet"], ["evaluation.only=[seg_gd]"], "evaluation.only: got 'seg_gd'"),
     ],
