@@ -258,6 +258,8 @@ def test_evaluations_are_swept_without_training(command: Command, tmp_path: Path
         done = command("evaluate", f"ckpt={checkpoint}", f"+sweep={name}", f"sweep_dir={name}", timeout=600)
         assert done.returncode == 0, done.stderr
         assert states(tmp_path / name) == ["done"] * count
+        kept = yaml.safe_load((tmp_path / name / "0" / "config.yaml").read_text())["ckpt"]
+        assert (tmp_path / kept).samefile(checkpoint) and "latest" not in kept  # which is another run tomorrow
     assert checkpoint.stat().st_mtime_ns == before and "training rounds" not in done.stderr
     tables = [(tmp_path / "cell_width" / str(n) / "tables" / "mapping.csv").read_text() for n in range(6)]
     widths = [{line.split(",")[2] for line in table.splitlines()[1:]} for table in tables]
