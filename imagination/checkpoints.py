@@ -22,6 +22,7 @@ from omegaconf import DictConfig, OmegaConf
 from imagination.config import compose
 from imagination.errors import UserError
 from imagination.runs import LAST, replacing
+from imagination.weights import mismatches
 
 KEY = "imagination"
 """Our entry in the dictionary that Lightning saves."""
@@ -183,7 +184,7 @@ class Checkpoint:
         except RuntimeError as error:
             raise UserError(
                 f"checkpoint {self.path}: its weights do not fit the model that the installed conf describes; "
-                f"use the version that it was trained with ({str(error).splitlines()[-1].strip()})"
+                f"use the version that it was trained with; {mismatches(self.state['state_dict'], model.state_dict())}"
             ) from error
         return model.eval()
 

@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 @command("evaluate")
 def main(config: DictConfig) -> None:
     """Evaluate the checkpoints that `ckpt` names."""
-    if OmegaConf.is_missing(config, "ckpt"):
+    if OmegaConf.is_missing(config, "ckpt") or not config.ckpt:
         raise UserError(
             "ckpt: got none, expected a checkpoint: ckpt=outputs/<experiment>/latest/checkpoints/best.ckpt"
         )
@@ -44,6 +44,8 @@ def main(config: DictConfig) -> None:
     protocol = instantiate(config.evaluation)  # refuses what is out of range before anything is written
     folder = new_folder(config, member)
     config.paths.run = str(folder)
+    found = [str(runs.within(Path(path))) for path in paths]  # `latest` will be another one tomorrow
+    config.ckpt = found[0] if isinstance(config.ckpt, str) else found
     with runs.logging_to(folder / "run.log"):
         runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
         try:
@@ -79,7 +81,7 @@ def evaluate(
             data,
             [network.to(device) for network in networks],
             folder,
-            lambda report: training_rows(checkpoints, report),
+            lambda report: training_rows(checkpoints, report, public=bool(config.ade20k)),
         )
     finally:
         data.close()

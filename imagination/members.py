@@ -94,7 +94,7 @@ def lock_of(member: Member) -> str:
 
 
 def key_of(config: DictConfig, without: Sequence[str] = ()) -> str:
-    """Hash of what a member computes: its resolved config, without the folders it uses.
+    """Hash of what a member computes: its resolved config, without the folders and the cache that it uses.
 
     Args:
         config: composed.
@@ -102,7 +102,7 @@ def key_of(config: DictConfig, without: Sequence[str] = ()) -> str:
     """
     values: Any = OmegaConf.to_container(config)
     values["paths"] |= {"outputs": "", "cache": "", "run": ""}
-    values["sweep_dir"] = ""
+    values["sweep_dir"] = values["cache"] = ""
     if "ckpt" in values:  # `latest` will be another one tomorrow
         paths = [values["ckpt"]] if isinstance(values["ckpt"], str) else values["ckpt"]
         values["ckpt"] = [str(Path(path).resolve()) for path in paths]

@@ -2,9 +2,11 @@
 
 Trains what the study compares, one run after the other, then evaluates them together. Arguments are overrides, as of
 imagination.train. Started again with the same arguments it goes on where it was: finished runs are left alone, an
-unfinished one is resumed, and the evaluation takes up the homes that are done. Runs of other commands count as well.
+unfinished one is resumed, and the evaluation takes up the homes that are done. Runs of other commands count as well,
+if they were trained with the same resolved config.
 """
 
+import json
 import logging
 import shlex
 import subprocess
@@ -13,10 +15,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from imagination import runs
-from imagination.config import command
+from imagination.config import command, compose, validate
+from imagination.errors import UserError
+from imagination.evaluate import configured
+from imagination.members import EVALUATION_ONLY, key_of
 from imagination.progress import shares, stage
 from imagination.resume import choices, top
 
@@ -25,64 +31,104 @@ log = logging.getLogger(__name__)
 OWN = ("experiments", "compare")
 """Keys of this command alone."""
 
-EVALUATED = ("evaluation", "mapping", "ade20k")
+EVALUATED = (*EVALUATION_ONLY, "ade20k")
 """Nodes that only evaluation reads: what they are set to retrains nothing."""
+
+BESIDE = (*EVALUATION_ONLY, "choices", "ckpt_path", "resume")
+"""Nodes of a run's config that do not decide what its training makes."""
 
 
 @command("study")
 def main(config: DictConfig) -> None:
     """Train what is missing, then evaluate."""
     given = [text for text in HydraConfig.get().overrides.task if top(text) not in OWN]
-    training = [text for text in given if top(text) not in EVALUATED]
+    training = [text for text in given if not evaluated(text)]
+    evaluation = [f"+study={config.compare}"]
+    evaluation += [text for text in given if evaluated(text) or top(text) == "paths"]
+    check(config.experiments, training, evaluation)
     outputs = Path(config.paths.outputs)
     with runs.logging_to(runs.create_folder(outputs / "study", runs.now()) / "run.log"):
         checkpoints = []
         for experiment in config.experiments:
             with stage(experiment):
-                checkpoints.append(trained(experiment, training, outputs))
+                checkpoints.append(str(trained(experiment, training, outputs)))
         with stage("evaluation"):
-            _run(
-                "evaluate",
-                [f"ckpt=[{','.join(map(str, checkpoints))}]", f"+study={config.compare}"],
-                [text for text in given if top(text) in (*EVALUATED, "paths")],
-            )
+            _run("evaluate", [f"ckpt={json.dumps(checkpoints)}"], evaluation)
         parts = ", ".join(f"{name} {seconds / 60:.1f}" for name, seconds in shares.report().items())
         log.info("Minutes: %s", parts)
 
 
+def check(experiments: Sequence[str], training: Sequence[str], evaluation: Sequence[str]) -> None:
+    """Find mistakes in what is evaluated at the end before hours of training.
+
+    Raises:
+        UserError: if the networks do not go together or a setting of the evaluation is out of range.
+    """
+    from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint  # with it comes torch
+    from imagination.evaluation.approaches import NEEDS
+
+    if not experiments:
+        raise UserError("experiments: got none, expected such as [chair_unet,segmentation_hrnet]")
+    networks = []
+    for experiment in experiments:
+        config = planned(experiment, training)
+        validate(config)
+        networks.append(Checkpoint(Path(experiment), {KEY: ConfigInCheckpoint(config).description}))
+    asked = configured(networks, [f"ckpt={json.dumps(list(experiments))}", *evaluation])
+    instantiate(asked.evaluation).available(NEEDS)
+
+
+def evaluated(override: str) -> bool:
+    """Whether only evaluation reads what an override sets."""
+    key = override.lstrip("+~").partition("=")[0]
+    return any(key == node or key.startswith((f"{node}.", f"{node}/")) for node in EVALUATED)
+
+
+def planned(experiment: str, overrides: Sequence[str]) -> DictConfig:
+    """The config of an experiment's run, as imagination.train composes it."""
+    asked = [f"+experiment={experiment}", *overrides]
+    config = compose("train", [*asked, "paths.run=."])
+    config.choices = choices(asked)
+    return config
+
+
 def trained(experiment: str, overrides: Sequence[str], outputs: Path) -> Path:
     """The best checkpoint of a finished run of an experiment with these overrides; trains or resumes where needed."""
-    asked = [f"+experiment={experiment}", *overrides]
-    if (folder := newest(outputs, asked, finished=True)) is not None:
+    config = planned(experiment, overrides)
+    if (folder := newest(outputs, config, finished=True)) is not None:
         log.info("%s: already trained, %s", experiment, folder)
-    elif (folder := newest(outputs, asked, finished=False)) is not None:
+    elif (folder := newest(outputs, config, finished=False)) is not None:
         _run(
             "train",
             [f"ckpt_path={folder / runs.LAST}"],
             [text for text in overrides if top(text) == "paths"],
         )
     else:
-        _run("train", asked)
-        folder = newest(outputs, asked, finished=True)
+        _run("train", [f"+experiment={experiment}", *overrides])
+        folder = newest(outputs, config, finished=True)
     assert folder is not None, "a training that ended well has left its tables"
     return folder / (runs.BEST if (folder / runs.BEST).is_file() else runs.LAST)
 
 
-def newest(outputs: Path, overrides: Sequence[str], finished: bool) -> Path | None:
-    """The newest run with these overrides, with its tables if it is to be finished, else with a checkpoint."""
-    wanted = sorted(choices(overrides))
-    needed = Path("tables") / "mapping.csv" if finished else runs.LAST
+def newest(outputs: Path, config: DictConfig, finished: bool) -> Path | None:
+    """The newest run that trains what a config says and has a checkpoint; with its tables, if it is to be finished."""
+    key = key_of(config, BESIDE)
+    needed = (runs.LAST, Path("tables") / "mapping.csv") if finished else (runs.LAST,)
     found = [
         path.parent
-        for path in outputs.glob(f"*/*/{runs.COMPOSED}")
-        if (path.parent / needed).is_file() and not path.parent.is_symlink() and _choices_of(path) == wanted
+        for path in outputs.glob(f"{config.name}/*/{runs.COMPOSED}")
+        if all((path.parent / name).is_file() for name in needed)
+        and not path.parent.is_symlink()
+        and _trains(path, key)
     ]
     return max(found, key=lambda folder: folder.name, default=None)
 
 
-def _choices_of(path: Path) -> list[str]:
-    """The overrides that a run was started with."""
-    return sorted(OmegaConf.select(OmegaConf.load(path), "choices", default=[]))
+def _trains(path: Path, key: str) -> bool:
+    """Whether the config of a run has this key, and nothing that only evaluation reads, which it would pass on."""
+    config = OmegaConf.load(path)
+    assert isinstance(config, DictConfig)
+    return key_of(config, BESIDE) == key and not any(map(evaluated, config.choices))
 
 
 def _run(name: str, *overrides: Sequence[str]) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from imagination import runs
 from imagination.progress import shares
@@ -30,10 +30,6 @@ def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
     from torch.utils.tensorboard import SummaryWriter
     from torch.utils.tensorboard.summary import hparams
 
-    from imagination.checkpoints import plain_values
-
-    values = plain_values(config)
-    settings = {key: value for node in SETTINGS for key, value in _flat(node, values[node])}
     figures = {
         name: float(value)
         for name, value in trainer.callback_metrics.items()
@@ -43,15 +39,24 @@ def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
         # its own log_hyperparams would log the figures a second time
         if isinstance(logger, TensorBoardLogger):
             with SummaryWriter(logger.log_dir) as writer:
-                for part in hparams(settings, figures):  # type: ignore[no-untyped-call]
+                for part in hparams(settings(config), figures):  # type: ignore[no-untyped-call]
                     writer.file_writer.add_summary(part)
 
 
+def settings(config: DictConfig) -> dict[str, Any]:
+    """What TensorBoard shows of a config: values, and the class of what a node builds."""
+    values: Any = OmegaConf.to_container(config, resolve=True)
+    return {key: value for node in SETTINGS for key, value in _flat(node, values[node])}
+
+
 def _flat(name: str, node: Any) -> Iterator[tuple[str, Any]]:
-    """Names and values of a tree's leaves; lists count as text."""
+    """Names and values of a tree's leaves; lists count as text, a node's class goes by the node's name."""
     if isinstance(node, dict):
         for key, value in node.items():
-            yield from _flat(f"{name}.{key}", value)
+            if key == "_target_":
+                yield name, value.rpartition(".")[2]
+            elif not key.startswith("_"):
+                yield from _flat(f"{name}.{key}", value)
     else:
         yield name, str(node) if isinstance(node, list) else node
 

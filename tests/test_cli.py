@@ -159,6 +159,11 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     assert "Interrupted. Go on with: python -m imagination.train ckpt_path=outputs/chair_unet/" in text
 
 
+def test_an_evaluation_of_no_checkpoint_is_told(command: Command) -> None:
+    done = command("evaluate", "ckpt=[]")
+    assert done.returncode == 2 and done.stderr.startswith("error: ckpt: got none"), done.stderr
+
+
 @pytest.mark.slow
 def test_the_study_runs_and_does_nothing_twice(command: Command, tmp_path: Path) -> None:
     arguments = ["study", "scale=test", "experiments=[chair_unet,bed_unet,segmentation_hrnet]"]

@@ -1,21 +1,29 @@
-"""The study's chain: which runs count as done, which are resumed."""
+"""The study's chain: which runs count as done, which are resumed, and what is refused before anything is trained."""
 
 from pathlib import Path
 
 import pytest
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from imagination import runs, study
+from imagination.config import explain
+from imagination.errors import UserError
+from tests.conftest import Command
 
-CHOICES = ["+experiment=chair_unet", "scale=test"]
+OVERRIDES = ["scale=test"]
+DONE = "tables/mapping.csv", "checkpoints/last.ckpt"
 
 
-def run(outputs: Path, date: str, choices: list[str], *files: str) -> Path:
+def run(outputs: Path, date: str, overrides: list[str], *files: str) -> Path:
+    """A run's folder, as imagination.train leaves it."""
+    config = study.planned("chair_unet", overrides)
     folder = outputs / "chair_unet" / date
     for name in ("run.log", *files):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).touch()
-    OmegaConf.save({"choices": choices}, folder / runs.COMPOSED)
+    config.paths.run, config.sweep_dir = str(folder), None
+    OmegaConf.save(config, folder / runs.COMPOSED)
     return folder
 
 
@@ -28,7 +36,7 @@ def called(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
         texts = [text for part in overrides for text in part]
         lines.append(" ".join([name, *texts]))
         if not texts[0].startswith("ckpt_path"):
-            run(tmp_path, "new", study.choices(texts), "tables/mapping.csv", "checkpoints/best.ckpt")
+            run(tmp_path, "new", texts[1:], *DONE, "checkpoints/best.ckpt")
 
     monkeypatch.setattr(study, "_run", pretend)
     return lines
@@ -44,22 +52,80 @@ def test_nothing_there_is_trained(tmp_path: Path, called: list[str]) -> None:
     assert len(called) == 1  # and not again
 
 
-def test_the_newest_finished_run_with_the_same_choices_counts(tmp_path: Path, called: list[str]) -> None:
-    done = "tables/mapping.csv", "checkpoints/last.ckpt"
-    run(tmp_path, "1", CHOICES, *done)
-    wanted = run(tmp_path, "2", CHOICES[::-1], *done)
-    run(tmp_path, "3", [*CHOICES, "seed=1"], *done)
-    run(tmp_path, "4", CHOICES, "checkpoints/last.ckpt")
+def test_the_newest_finished_run_of_the_same_config_counts(tmp_path: Path, called: list[str]) -> None:
+    run(tmp_path, "1", OVERRIDES, *DONE)
+    wanted = run(tmp_path, "2", ["seed=0", *OVERRIDES], *DONE)  # told in other words
+    run(tmp_path, "3", [*OVERRIDES, "seed=1"], *DONE)
+    run(tmp_path, "4", OVERRIDES, "checkpoints/last.ckpt")
     (tmp_path / "chair_unet" / "latest").symlink_to("3")
-    assert study.trained("chair_unet", ["scale=test"], tmp_path) == wanted / "checkpoints/last.ckpt"
+    assert study.trained("chair_unet", OVERRIDES, tmp_path) == wanted / "checkpoints/last.ckpt"
     assert not called
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        "trainer.max_epochs=1",
+        "trainer.fast_dev_run=true",
+        "callbacks.replay_buffer.update_batches=1",
+        "evaluation.viewpoint_sets=2",  # an evaluation would take it over from the run
+    ],
+)
+def test_a_run_that_was_trained_or_measured_in_another_way_does_not_count(
+    tmp_path: Path, called: list[str], other: str
+) -> None:
+    run(tmp_path, "1", [*OVERRIDES, other], *DONE)
+    study.trained("chair_unet", OVERRIDES, tmp_path)
+    assert called == ["train +experiment=chair_unet scale=test"]
+
+
+def test_a_run_without_a_checkpoint_does_not_count(tmp_path: Path, called: list[str]) -> None:
+    run(tmp_path, "1", OVERRIDES, "tables/mapping.csv")
+    study.trained("chair_unet", OVERRIDES, tmp_path)
+    assert called == ["train +experiment=chair_unet scale=test"]
+
+
 def test_an_unfinished_run_is_resumed(tmp_path: Path, called: list[str]) -> None:
-    folder = run(tmp_path, "1", CHOICES, "checkpoints/last.ckpt")
-    run(tmp_path, "2", CHOICES)  # ended before its first round
-    study.trained("chair_unet", ["scale=test"], tmp_path)
+    folder = run(tmp_path, "1", OVERRIDES, "checkpoints/last.ckpt")
+    run(tmp_path, "2", OVERRIDES)  # ended before its first round
+    study.trained("chair_unet", OVERRIDES, tmp_path)
     assert called == [f"train ckpt_path={folder}/checkpoints/last.ckpt"]
+
+
+def test_what_only_evaluation_reads_retrains_nothing() -> None:
+    for override in (
+        "scale.cell_widths=[4.0]",
+        "mapping/registration=mean",
+        "evaluation.only=[seg_gt]",
+        "ade20k=a",
+    ):
+        assert study.evaluated(override), override
+    for override in ("scale=test", "kernels.imaginable=1.2", "model/loss=bce_dice", "scale.rounds=3"):
+        assert not study.evaluated(override), override
+
+
+@pytest.mark.parametrize(
+    ("experiments", "evaluation", "told"),
+    [
+        (["chair_unet", "chair_best"], [], "got chair_unet and chair_best, which both give chair"),
+        (["chair_unet", "segmentation_hrnet"], ["ade20k=a"], "got a beside checkpoint segmentation_hrnet"),
+        ([], [], "experiments: got none"),
+        (["chair_unet"], ["evaluation.viewpoint_sets=0"], "viewpoint_sets: got 0"),
+        (["chair_unet"], ["evaluation.only=[seg_gd]"], "evaluation.only: got 'seg_gd'"),
+    ],
+)
+def test_mistakes_are_told_before_anything_is_trained(
+    experiments: list[str], evaluation: list[str], told: str
+) -> None:
+    with pytest.raises((UserError, HydraException)) as caught:
+        study.check(experiments, OVERRIDES, ["+study=paper", *evaluation])
+    assert told in (explain(caught.value) or "")
+
+
+def test_an_unknown_comparison_trains_nothing(command: Command, tmp_path: Path) -> None:
+    done = command("study", "scale=test", "compare=nothing", "experiments=[chair_unet]")
+    assert done.returncode == 2 and "study/nothing" in done.stderr, done.stderr
+    assert not (tmp_path / "outputs").exists()
 
 
 def test_a_failure_ends_the_study_with_its_code() -> None:

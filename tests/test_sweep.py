@@ -16,6 +16,7 @@ from imagination import members, runs
 from imagination.config import compose, explain
 from imagination.errors import UserError
 from imagination.members import key_of
+from imagination.summary import settings
 from tests.conftest import ROOT, Command
 
 SWEEPS = sorted(path.stem for path in (ROOT / "conf" / "sweep").glob("*.yaml"))
@@ -66,6 +67,7 @@ def test_a_key_is_of_what_is_computed() -> None:
     key = key_of(compose("train", JOB))
     assert key == key_of(compose("train", [*JOB, "paths.outputs=elsewhere", "sweep_dir=old"]))
     assert key == key_of(compose("train", [*JOB, "+sweep=dilation"]))
+    assert key == key_of(compose("train", [*JOB, "cache.max_gigabytes=5"]))
     for change in ("seed=1", "kernels.imaginable=1.2", "mapping/registration=mean", "trainer.max_epochs=3"):
         assert key != key_of(compose("train", [*JOB, change]))
     trained = key_of(compose("train", JOB), members.EVALUATION_ONLY)
@@ -128,6 +130,20 @@ def test_ready_made_sweeps_compose(name: str) -> None:
         for value in choices:
             keys.add(key_of(compose("train", [*JOB, f"{key}={value}".replace(" ", "")])))
         assert len(keys) >= len(choices)
+
+
+@pytest.mark.parametrize(
+    ("key", "choices"),
+    [
+        ("model.backbone", {"model/backbone=unet": "UNet", "model/backbone=fpn": "FPN"}),
+        ("model.unit", {"model=unit": "ImaginationUnit", "model=projected": "ProjectedUnit"}),
+        ("mapping.registration", {"mapping/registration=mean": "Mean", "mapping/registration=max": "Max"}),
+        ("model.encoder.name", {"model.encoder.name=resnet18": "resnet18", "model.encoder.name=a": "a"}),
+    ],
+)
+def test_tensorboard_tells_apart_what_is_built(key: str, choices: dict[str, str]) -> None:
+    shown = {choice: settings(compose("train", [*JOB, choice, "paths.run=."]))[key] for choice in choices}
+    assert shown == choices
 
 
 def swept(sweep: Path) -> list[dict[str, str]]:
@@ -242,6 +258,10 @@ def test_evaluations_are_swept_without_training(command: Command, tmp_path: Path
         done = command("evaluate", f"ckpt={checkpoint}", f"+sweep={name}", f"sweep_dir={name}", timeout=600)
         assert done.returncode == 0, done.stderr
         assert states(tmp_path / name) == ["done"] * count
+        kept = yaml.safe_load((tmp_path / name / "0" / "config.yaml").read_text())["ckpt"]
+        assert (tmp_path / kept).samefile(
+            checkpoint
+        ) and "latest" not in kept  # which is another run tomorrow
     assert checkpoint.stat().st_mtime_ns == before and "training rounds" not in done.stderr
     tables = [(tmp_path / "cell_width" / str(n) / "tables" / "mapping.csv").read_text() for n in range(6)]
     widths = [{line.split(",")[2] for line in table.splitlines()[1:]} for table in tables]

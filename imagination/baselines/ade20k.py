@@ -18,6 +18,7 @@ from imagination.baselines.hrnet import HRNetV2, at_size
 from imagination.categories import CategoryTable
 from imagination.errors import UserError
 from imagination.geometry.camera import Camera
+from imagination.weights import mismatches
 
 SOURCE = "ade20k"
 
@@ -44,9 +45,6 @@ LEFT_OUT = ("num_batches_tracked", "_tmp_running_mean", "_tmp_running_var", "_ru
 
 DECODER = {"cbr.": "decoder.0.", "conv_last.": "decoder.1."}
 """The `c1` decoder's parts and ours."""
-
-SHOWN = 3
-"""Mismatches that an error lists."""
 
 
 class PublicHRNet(nn.Module):
@@ -145,18 +143,9 @@ def fill(network: nn.Module, weights: Mapping[str, Tensor], origin: Path) -> Non
         UserError: if names or shapes differ, with the first of them.
     """
     expected = {name: value for name, value in network.state_dict().items() if not name.endswith(LEFT_OUT)}
-    differences = [
-        f"{name}: got {_shape(weights.get(name))}, expected {_shape(expected.get(name))}"
-        for name in dict.fromkeys([*expected, *weights])
-        if _shape(weights.get(name)) != _shape(expected.get(name))
-    ]
-    if differences:
+    if differences := mismatches(weights, expected):
         raise UserError(
             f"ade20k: the weights in {origin} are of another architecture than HRNetV2-W48 with the c1 decoder and "
-            f"{len(CLASSES)} classes; {len(differences)} entries differ, first {'; '.join(differences[:SHOWN])}"
+            f"{len(CLASSES)} classes; {differences}"
         )
     network.load_state_dict(dict(weights), strict=False)  # without the counters that only training uses
-
-
-def _shape(tensor: Tensor | None) -> str:
-    return "none" if tensor is None else f"{tuple(tensor.shape)}"

@@ -52,11 +52,13 @@ class UntilFlat(Callback):
         self._end_if_flat(trainer, trainer.current_epoch)  # a finished run that is resumed
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        if not self.flat:
+        if not self.flat or trainer.current_epoch < self.min_rounds:
             log.warning(
-                "Training ended after %d rounds, before %s was flat; raise trainer.max_epochs and go on with resume",
+                "Training ended after %d rounds, before %s was flat and %d rounds were done, as many as units train; "
+                "raise trainer.max_epochs and go on with resume",
                 trainer.current_epoch,
                 self.monitor,
+                self.min_rounds,
             )
 
     @property

@@ -95,6 +95,11 @@ class MappingProtocol:
         check_range("evaluation.cell_widths", len(self.cell_widths), 1, 100, "widths")
         for width in self.cell_widths:
             check_range("evaluation.cell_widths", width, 0.25, 50.0, "m")
+        if len(set(map(float, self.cell_widths))) < len(self.cell_widths):
+            raise UserError(
+                f"evaluation.cell_widths: got {list(self.cell_widths)}, expected each width once; leave out those that "
+                "are given again"
+            )
         check_range("evaluation.viewpoint_sets", self.viewpoint_sets, 1, 10_000)
         check_range("evaluation.orientations", self.orientations, 1, 1000)
         check_range("evaluation.resamples", self.resamples, 10, 10_000_000)

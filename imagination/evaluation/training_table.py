@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from imagination.baselines.ade20k import SOURCE
 from imagination.checkpoints import Checkpoint
 from imagination.evaluation.outcome import Report
 from imagination.evaluation.tables import Row
@@ -10,14 +11,15 @@ COUNTED = "rounds", "samples", "views", "minutes", "until", "iou_val_views"
 """Columns that a checkpoint written without a record leaves empty."""
 
 
-def training_rows(checkpoints: Sequence[Checkpoint], report: Report) -> list[Row]:
-    """One row for each checkpoint and category that is evaluated.
+def training_rows(checkpoints: Sequence[Checkpoint], report: Report, public: bool = False) -> list[Row]:
+    """One row for each network and category that is evaluated.
 
     Args:
         checkpoints: of the networks.
         report: of their evaluation.
+        public: whether public weights for ADE20K segmented the images; what they took to train is not known here.
     """
-    return [
+    rows = [
         {
             "network": str(checkpoint.config.name),
             "category": name,
@@ -29,6 +31,16 @@ def training_rows(checkpoints: Sequence[Checkpoint], report: Report) -> list[Row
         for checkpoint in checkpoints
         for name in checkpoint.categories
         if name in report.homes
+    ]
+    return rows + [
+        {
+            "network": SOURCE,
+            "category": name,
+            **dict.fromkeys(COUNTED, ""),
+            "iou_first_person": f"{score:.4f}",
+        }
+        for name, score in report.first_person.items()
+        if public
     ]
 
 

@@ -12,7 +12,7 @@ from imagination.evaluation import style
 from imagination.evaluation.single_views import CELLS, FILE, MIN_LABEL, TABLE, ranked_by
 from imagination.reporting import curves, layout, map_figures, score_figures, view_figures
 from imagination.reporting.layout import Layout
-from imagination.reporting.results import Results, Row, Tally
+from imagination.reporting.results import Results, Row, Tally, missing_maps
 
 TOLD = ("mapping.csv", "paired.csv", "runs.csv", TABLE)
 """Tables that other parts of the report are made of."""
@@ -105,7 +105,7 @@ def facts(results: Results) -> list[tuple[str, str]]:
     found = {
         "Folder": str(results.folder),
         "Categories": ", ".join(map(str, config.get("unit_categories") or [])),
-        "Homes": f"{results.source}, {(results.scale.get('homes') or {}).get('test', '?')} for the test",
+        "Homes": f"{results.source}, {len(results.homes)} of the test split",
         "Resolution": f"{results.resolution:g} m per cell",
         "Approaches left out": ", ".join(results.left_out) if results.counts else "",
         "Seed": str(config.get("seed", "?")),
@@ -118,12 +118,16 @@ def facts(results: Results) -> list[tuple[str, str]]:
 
 def commands(results: Results) -> list[str]:
     """How the run is made again, with the packages that requirements.lock pins."""
-    choices = [str(text) for text in results.config.get("choices") or []]
-    made = [shlex.join(["python", "-m", "imagination.train", *choices])] if choices else []
-    told = str(results.provenance.get("command", ""))
+    made, told = trainings(results), str(results.provenance.get("command", ""))
     if told and "imagination.train" not in told:
         made.append(told)
     return [*made, shlex.join(["python", "-m", "imagination.report", str(results.folder)])]
+
+
+def trainings(results: Results) -> list[str]:
+    """The commands that trained the networks."""
+    choices = [[str(text) for text in run.config.get("choices") or []] for run in results.trained]
+    return [shlex.join(["python", "-m", "imagination.train", *given]) for given in choices if given]
 
 
 def as_yaml(results: Results) -> str:
@@ -157,6 +161,7 @@ def _maps(results: Results) -> Iterator[Drawing]:
         if results.counts:
             results.problems.append("maps/ is missing: maps, viewpoints, precision and recall are not drawn")
         return
+    results.problems += missing_maps(results.counts, results.maps)
     for category in results.categories:
         widths = [
             width for width in results.cell_widths if map_figures.typical(results.maps, category, width)
@@ -172,7 +177,7 @@ def _maps(results: Results) -> Iterator[Drawing]:
     yield Drawing(
         "viewpoints",
         "Sparse viewpoints (Algorithm 1) and the headings taken there, on the map of the home with most of them.",
-        partial(map_figures.draw_viewpoints, results.maps, results.cell_widths),
+        partial(map_figures.draw_viewpoints, results.maps),
         wide=True,
     )
 
@@ -246,14 +251,20 @@ def _by_category(tallies: Mapping[tuple[str, str], Tally]) -> dict[str, dict[str
     return found
 
 
-def _training(results: Results) -> Iterator[Drawing]:
-    folder = results.folder / curves.FOLDER
-    if not folder.is_dir():
-        return  # an evaluation trains nothing
-    found = curves.charts(curves.read(folder))
-    if not found:
+def _charts(results: Results) -> list[curves.Chart]:
+    """The curves of a run; of an evaluation, those of its networks side by side."""
+    logged = [(run, run.folder / curves.FOLDER) for run in results.trained]
+    logged = [(run, folder) for run, folder in logged if folder.is_dir()]
+    if results.trained != [results]:
+        return curves.compared([(run.name, run.predicts, curves.read(folder)) for run, folder in logged])
+    found = [chart for _, folder in logged for chart in curves.charts(curves.read(folder))]
+    if logged and not found:
         results.problems.append(f"{curves.FOLDER}/ holds no curves: its event files are missing or damaged")
-    for chart in found:
+    return found
+
+
+def _training(results: Results) -> Iterator[Drawing]:
+    for chart in _charts(results):
         yield Drawing(
             chart.stem,
             f"{chart.title} over updates of the weights.",
@@ -263,7 +274,7 @@ def _training(results: Results) -> Iterator[Drawing]:
 
 def _further(results: Results) -> Iterator[Plain]:
     for path in sorted((results.folder / "tables").glob("*.csv")):
-        made = path.name.startswith(("iou.", "correct_pixels.", "paired_"))  # by an earlier report
+        made = path.name.startswith(("iou", "correct_pixels.", "paired_"))  # by an earlier report
         if path.name not in TOLD and not made:
             rows = results.table(path.name)
             if 0 < len(rows) <= MOST_ROWS:

@@ -1,5 +1,7 @@
 """Training curves from a run's TensorBoard files."""
 
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,6 +10,16 @@ from imagination.reporting.score_figures import Curve
 
 FOLDER = "tensorboard"
 """In a run's folder."""
+
+
+COMPARED = {
+    "train/loss": ("loss", "Training loss"),
+    "val/iou": ("iou", "IoU of single views of validation homes"),
+}
+"""Curves by which networks are compared, and how these are named."""
+
+KINDS = {"maps": "units", "images": "first-person segmentation"}
+"""What networks predict, and what those that do are called."""
 
 
 class Chart(NamedTuple):
@@ -31,6 +43,22 @@ def read(folder: Path) -> dict[str, Curve]:
         points = events.Scalars(tag)
         curves[tag] = [point.step for point in points], [point.value for point in points]
     return curves
+
+
+def compared(networks: Sequence[tuple[str, str, dict[str, Curve]]]) -> list[Chart]:
+    """The same curve of several networks together, apart for units and for first-person segmentation.
+
+    Args:
+        networks: name, what it predicts, and every scalar of each.
+    """
+    made = []
+    for (kind, called), (tag, (name, title)) in product(KINDS.items(), COMPARED.items()):
+        of = {
+            network: found[tag] for network, predicts, found in networks if predicts == kind and tag in found
+        }
+        if of:
+            made.append(Chart(f"curve_{name}_{kind}", f"{title}, {called}", name, of))
+    return made
 
 
 def charts(curves: dict[str, Curve]) -> list[Chart]:

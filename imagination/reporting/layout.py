@@ -90,7 +90,25 @@ def tables(results: Results) -> list[Layout]:
             "correct_pixels", "Correctly predicted pixels", f"Summed over runs, {made}. {best} {cells}", columns,
             _with_paper(results, columns, "correct_pixels", paper.CORRECT_PIXELS), ".0f",
         ),
+        *_by_cells(results, columns, best),
         *_in_pairs(results, columns),
+    ]  # fmt: skip
+
+
+def _by_cells(results: Results, columns: list[Column], best: str) -> list[Layout]:
+    """IoU in the cells that a view of the run saw and in the others; none where mapping.csv is missing."""
+    if not results.by_cells:
+        return []
+    blocks = []
+    for place, block in enumerate(("Cells that a view saw", "Other cells")):
+        lines = []
+        for name in results.approaches:
+            found = [results.by_cells.get(Key(name, at.category, at.cell_width)) for at in columns]
+            lines.append(Line(label(name), [Cell(values[place]) if values else None for values in found]))
+        blocks.append((block, strengthened(results.approaches, lines)))
+    return [
+        Layout("iou_by_cells", "IoU in seen and in unseen cells", f"Pooled over runs. {best}", columns, blocks,
+               ".3f")
     ]  # fmt: skip
 
 

@@ -42,12 +42,13 @@ def draw_typical(maps: Sequence[SavedMaps], category: str, cell_widths: Sequence
     return draw_maps([saved.example(saved.categories.index(category)) for saved in chosen])
 
 
-def draw_viewpoints(maps: Sequence[SavedMaps], cell_widths: Sequence[float]) -> Figure:
+def draw_viewpoints(maps: Sequence[SavedMaps]) -> Figure:
     """Two viewpoint sets of the widest cell width and one of the narrowest, on the map of the home with most."""
     home = max(maps, key=lambda saved: len(saved.poses)).run.home
-    wanted = [(max(cell_widths), 0), (max(cell_widths), 1), (min(cell_widths), 0)]
-    by_run = {(saved.run.cell_width, saved.run.number): saved for saved in maps if saved.run.home == home}
-    shown = [by_run[run] for run in wanted if run in by_run]
+    by_width: dict[float, list[SavedMaps]] = {}
+    for saved in sorted((one for one in maps if one.run.home == home), key=lambda one: one.run.number):
+        by_width.setdefault(saved.run.cell_width, []).append(saved)
+    shown = by_width[max(by_width)][:2] + (by_width[min(by_width)][:1] if len(by_width) > 1 else [])
     figure = Figure(figsize=(3.2 * len(shown), 3.4), layout="constrained")
     axes = figure.subplots(1, len(shown), squeeze=False)[0]
     for axis, saved in zip(axes, shown, strict=True):

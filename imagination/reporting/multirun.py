@@ -18,7 +18,7 @@ from imagination.evaluation.metrics import CONFIDENCE, interval
 from imagination.evaluation.outcome import Key
 from imagination.evaluation.single_views import ranked_by
 from imagination.evaluation.style import label
-from imagination.reporting.content import Content, Drawing, Plain, Section, as_yaml, facts
+from imagination.reporting.content import Content, Drawing, Plain, Section, as_yaml, facts, trainings
 from imagination.reporting.layout import Cell, Column, Layout, Line, bootstrap, cell_of, strengthened
 from imagination.reporting.results import Results, Runs, read_csv
 from imagination.reporting.score_figures import Point, draw_ablation
@@ -170,7 +170,8 @@ def member(folder: Path, asked: dict[str, str], told: tuple[str, ...] = ("", "")
 
 def of_multirun(sweep: Multirun) -> Content:
     """Everything that a sweep has to tell."""
-    first = next(member.results for member in sweep.read if member.results)
+    measured = [member for member in sweep.read if member.results and member.results.counts]
+    first = _results([*measured, *sweep.read][0])
     problems = [
         f"member {member.number} ({_told(sweep.values(member))}) is {member.state}: {member.reason}"
         for member in sweep.members
@@ -179,7 +180,6 @@ def of_multirun(sweep: Multirun) -> Content:
     keys = ", ".join(sweep.swept) or "nothing"
     done = sum(member.state == "complete" for member in sweep.members)
     told = [("Swept", keys), ("Members", f"{len(sweep.members)}, {done} complete"), *facts(first)[1:]]
-    measured = [member for member in sweep.read if member.results and member.results.counts]
     sections = [Section("Members", plain=(Plain("What was swept, and what came of it", _rows(sweep)),))]
     if measured and sweep.swept:
         sections.append(Section(
@@ -190,7 +190,12 @@ def of_multirun(sweep: Multirun) -> Content:
         ))  # fmt: skip
     title = f"Sweep of {first.name}"
     return Content(
-        title, [("Folder", str(sweep.folder)), *told], problems, sections, _commands(sweep), as_yaml(first)
+        title,
+        [("Folder", str(sweep.folder)), *told],
+        problems,
+        sections,
+        _commands(sweep, first),
+        as_yaml(first),
     )
 
 
@@ -236,6 +241,8 @@ def _drawings(sweep: Multirun, measured: Sequence[Member]) -> Iterator[Drawing]:
             for title, width in _panels(measured).items()
             if (lines := _lines(sweep, measured, key, category, shown, width))
         }
+        if not panels:
+            continue  # no member has both the category and the approach
         what = f" ({label(shown[0])})" if several else ""
         stem = "".join(letter if letter.isalnum() else "_" for letter in key)
         yield Drawing(
@@ -289,8 +296,16 @@ def _results(each: Member) -> Results:
     return each.results
 
 
-def _commands(sweep: Multirun) -> list[str]:
-    return [f"python -m imagination.report {sweep.folder}"]
+def _commands(sweep: Multirun, first: Results) -> list[str]:
+    """What an evaluation's networks were trained with, the sweep as its multirun.yaml has it, and the report."""
+    report = shlex.join(["python", "-m", "imagination.report", str(sweep.folder)])
+    try:
+        asked = yaml.safe_load((sweep.folder / "multirun.yaml").read_text())["hydra"]
+        given = [text for text in asked["overrides"]["task"] if not text.startswith("sweep_dir=")]
+        swept = shlex.join(["python", "-m", f"imagination.{asked['job']['name']}", "-m", *given])
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+        return [report]  # a search leaves no such file
+    return [*(trainings(first) if "ckpt" in first.config else []), swept, report]
 
 
 def _told(values: Mapping[str, str]) -> str:

@@ -4,6 +4,7 @@ import csv
 import json
 import logging
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -19,6 +20,7 @@ from imagination.evaluation.map_files import SavedMaps
 from imagination.evaluation.metrics import count
 from imagination.evaluation.outcome import Key
 from imagination.evaluation.report import PROVENANCE
+from imagination.evaluation.runs import Run
 from imagination.evaluation.selection import THRESHOLDS
 from imagination.evaluation.single_views import SingleView
 from imagination.runs import CONFIG
@@ -67,6 +69,23 @@ class Results:
         return str(scenes.get("_target_", "homes")).rpartition(".")[2]
 
     @property
+    def predicts(self) -> str:
+        """What a run's network gives: egocentric "maps", or first-person "images"."""
+        return str((self.config.get("model") or {}).get("predicts", ""))
+
+    @property
+    def homes(self) -> list[str]:
+        """Names of the homes that anything was measured in."""
+        return list(dict.fromkeys(home for runs in self.counts.values() for home, _ in runs))
+
+    @property
+    def homes_asked(self) -> int | None:
+        """How many homes the test split has; None where the scene source alone knows."""
+        scenes = (self.config.get("data") or {}).get("scenes") or {}
+        asked: int | None = (scenes.get("splits") or {}).get("test")
+        return asked
+
+    @property
     def resolution(self) -> float:
         """Metres per cell."""
         return float(self.scale.get("resolution", "nan"))
@@ -86,7 +105,11 @@ class Results:
         """Counts of every run that is there; told in `problems` what is not."""
         found = self._from_table()
         if not found and self.maps:
-            self.problems.append("tables/runs.csv is missing: counted again from the maps saved so far")
+            homes, asked = len({saved.run.home for saved in self.maps}), self.homes_asked
+            self.problems.append(
+                "tables/runs.csv is missing: counted again from the maps saved so far, "
+                f"of {homes}{f' of {asked}' if asked else ''} homes"
+            )
             found = recount(self.maps)
         elif not found:
             self.problems.append("tables/runs.csv is missing: the evaluation has not ended, or failed")
@@ -113,6 +136,12 @@ class Results:
         return (path.is_file() and self._tell(read_tallies, path)) or {}
 
     @cached_property
+    def by_cells(self) -> dict[Key, tuple[float, float]]:
+        """Pooled IoU in the cells that a view of the run saw, and in the others, as in mapping.csv."""
+        path = self.folder / "tables" / "mapping.csv"
+        return (path.is_file() and self._tell(read_by_cells, path)) or {}
+
+    @cached_property
     def provenance(self) -> dict[str, Any]:
         """Command, seed, hardware, seconds and sensor of the evaluation, where they were written."""
         path = self.folder / "tables" / PROVENANCE
@@ -122,6 +151,18 @@ class Results:
         """A table of the folder; without rows where it is not there."""
         path = self.folder / "tables" / name
         return (path.is_file() and self._tell(read_csv, path)) or []
+
+    @cached_property
+    def trained(self) -> list["Results"]:
+        """The runs that trained the networks: this one, or those of an evaluation's checkpoints, if still there."""
+        given = self.config.get("ckpt")
+        if given is None:
+            return [self]
+        found = []
+        for path in [given] if isinstance(given, str) else given:
+            with suppress(UserError):  # moved, deleted or damaged
+                found.append(Results(Path(path).parent.parent))
+        return found
 
     @property
     def approaches(self) -> list[str]:
@@ -214,6 +255,15 @@ def read_tallies(path: Path) -> dict[tuple[str, str, str], Tally]:
     return {key: np.array(rows, np.int64) for key, rows in found.items()}
 
 
+def read_by_cells(path: Path) -> dict[Key, tuple[float, float]]:
+    """IoU in seen and in unseen cells of a mapping.csv."""
+    return {
+        Key(row["approach"], row["category"], float(row["cell_width"])):
+        (float(row["iou_seen"]), float(row["iou_unseen"]))
+        for row in read_csv(path)
+    }  # fmt: skip
+
+
 def recount(maps: Sequence[SavedMaps]) -> dict[Key, Runs]:
     """The counts of every run from its saved maps."""
     counts: dict[Key, Runs] = {}
@@ -258,6 +308,20 @@ def missing_runs(counts: Mapping[Key, Runs], config: Mapping[str, Any]) -> list[
                     f"{len(homes) * len(sets)} runs missing ({names}{', …' if len(lost) > 3 else ''})"
                 )
     return told
+
+
+def missing_maps(counts: Mapping[Key, Runs], maps: Sequence[SavedMaps]) -> list[str]:
+    """A line on the runs that were counted and whose maps are not there; none if all are."""
+    there = {saved.run for saved in maps}
+    counted = dict.fromkeys(
+        Run(home, key.cell_width, number) for key, runs in counts.items() for home, number in runs
+    )
+    lost = [run for run in counted if run not in there]
+    if not lost:
+        return []
+    names = ", ".join(f"{run.home} {run.cell_width:g} m set {run.number}" for run in lost[:3])
+    more = ", …" if len(lost) > 3 else ""
+    return [f"maps/: those of {len(lost)} of {len(counted)} runs are missing ({names}{more})"]
 
 
 def _json(path: Path) -> dict[str, Any]:

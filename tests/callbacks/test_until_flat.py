@@ -55,6 +55,18 @@ def test_it_lasts_at_least_as_long_as_the_units() -> None:
     assert len(play(callback(min_rounds=8), Played(), [0.1] * 20)) == 8
 
 
+def test_ending_before_the_units_do_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    """As with scale.rounds above scale.hrnet_rounds: flat or not, a baseline that trains for less is told."""
+    until, fake = callback(min_rounds=8), Played()
+    play(until, fake, [0.1] * 7)  # trainer.max_epochs
+    until.on_train_end(fake, MODULE)
+    assert until.flat and "ended after 7 rounds" in caplog.text and "8 rounds" in caplog.text
+    caplog.clear()
+    play(until, fake, [0.1])
+    until.on_train_end(fake, MODULE)
+    assert caplog.text == ""
+
+
 def test_a_resumed_training_does_the_same() -> None:
     scores = [0.1, 0.1, 0.1, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2]
     whole = play(callback(), Played(), scores)

@@ -140,6 +140,7 @@ def test_homes_without_the_category_are_left_out(subject: Subject, report: Repor
         ({"precision": "half"}, "evaluation.precision: got 'half'"),
         ({"cell_widths": [0.0]}, r"cell_widths: got 0\.0"),
         ({"cell_widths": []}, "cell_widths: got 0"),
+        ({"cell_widths": [3, 2.0, 3.0]}, r"cell_widths: got \[3, 2\.0, 3\.0\], expected each width once"),
         ({"viewpoint_sets": 0}, "viewpoint_sets: got 0"),
         ({"orientations": 0}, "orientations: got 0"),
     ],

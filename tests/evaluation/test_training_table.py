@@ -39,5 +39,10 @@ def test_every_network_tells_what_it_took(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert [row["until"] for row in rows] == ["last round", "flat", ""]
     assert [row["iou_first_person"] for row in rows] == ["", "0.5000", ""]
+    public = training_rows([unit], report, public=True)[1]
+    assert list(public) == list(rows[0])
+    assert {name: value for name, value in public.items() if value} == {
+        "network": "ade20k", "category": "chair", "iou_first_person": "0.5000",
+    }  # fmt: skip
     whole = rows[1]  # the run's, not those of its best round
     assert (whole["samples"], whole["minutes"], whole["iou_val_views"]) == ("5760", "4.5", "0.6250")

@@ -111,3 +111,15 @@ def test_every_approach_that_we_evaluate_has_a_name_a_meaning_and_a_colour() -> 
     for known in (LABELS, MEANINGS, COLOURS):
         assert set(known) == names
     assert len(set(COLOURS.values())) == len(names)
+
+
+def test_each_viewpoint_set_is_drawn_once() -> None:
+    """Two of the widest cell width and one of the narrowest; with one width, as a sweep's members have, two of it."""
+    rng = np.random.default_rng(4)
+    maps = [make_maps(Run("test_0000", width, number), rng) for width in (3.0, 2.5, 2.0) for number in (0, 1)]
+    for some, shown in (
+        (maps, ["3 m, set 0", "3 m, set 1", "2 m, set 0"]),
+        (maps[:2], ["3 m, set 0", "3 m, set 1"]),
+    ):
+        titles = [axis.get_title().partition("\n")[0] for axis in map_figures.draw_viewpoints(some).axes]
+        assert titles == [f"test_0000, cell width {told}" for told in shown]

@@ -61,6 +61,32 @@ def test_tables_agree_with_a_recount_from_the_saved_maps(folder: Path, tables: d
                     assert low < high
 
 
+def test_seen_and_unseen_cells_stand_apart(tmp_path: Path) -> None:
+    """As mapping.csv has them; a damaged one is told and left out."""
+    folder = make_folder(tmp_path / "run")
+    assert "iou_by_cells" not in {table.stem for table in layout.tables(Results(folder))}
+    lines = ["approach,category,cell_width,iou_seen,iou_unseen"]
+    lines += [
+        f"{name},{category},{width:g},0.{place}{at},0.0{at}"
+        for place, name in enumerate(APPROACHES)
+        for at, (category, width) in enumerate((c, w) for c in CATEGORIES for w in (3.0, 2.0))
+    ]
+    path = folder / "tables" / "mapping.csv"
+    path.write_text("\n".join(lines) + "\n")
+    table = {table.stem: table for table in layout.tables(Results(folder))}["iou_by_cells"]
+    (seen, seen_lines), (_, unseen_lines) = table.blocks
+    assert seen == "Cells that a view saw"
+    for place, line in enumerate(seen_lines):  # columns by width, then category
+        values = [cell and cell.value for cell in line.cells]
+        assert values == pytest.approx([place / 10 + at for at in (0, 0.02, 0.01, 0.03)])
+    assert [cell and cell.value for cell in unseen_lines[2].cells] == [0.0, 0.02, 0.01, 0.03]
+    assert [line.name for line in seen_lines if line.cells[0] and line.cells[0].strong] == ["mine"]
+    path.write_text("approach,category,cell_width\nimagination,chair,3\n")
+    results = Results(folder)
+    assert "iou_by_cells" not in {table.stem for table in layout.tables(results)}
+    assert any("mapping.csv is damaged" in problem for problem in results.problems)
+
+
 def test_pairs_are_resampled_together(folder: Path, tables: dict[str, Layout]) -> None:
     """Against a bootstrap written out, with other draws: intervals agree roughly, values exactly."""
     rng = np.random.default_rng(5)

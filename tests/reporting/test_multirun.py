@@ -20,7 +20,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sweep") / "multirun"
     folder.mkdir()
     sweeper = {"_target_": "hydra._internal.core_plugins.basic_sweeper.BasicSweeper", "params": None}
-    asked = {"hydra": {"sweeper": sweeper, "overrides": {"task": SWEPT}}}
+    asked = {"hydra": {"sweeper": sweeper, "overrides": {"task": SWEPT}, "job": {"name": "train"}}}
     (folder / "multirun.yaml").write_text(yaml.safe_dump(asked))
     number = 0
     for delta in ("0.6", "1.0", "1.4"):
@@ -53,6 +53,10 @@ def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
     assert [found.values(member) for member in found.members] == grid(sweep / "multirun.yaml")
     content = read(sweep)
     assert content.problems == []
+    assert content.commands == [
+        "python -m imagination.train -m +experiment=made kernels.imaginable=0.6,1.0,1.4 model.alpha_max=10,30",
+        f"python -m imagination.report {sweep}",
+    ]
     (table,) = [table for section in content.sections for table in section.layouts]
     assert [len(lines) for _, lines in table.blocks] == [6, 6, 6, 6]
     assert table.blocks[0][1][0].name == "kernels.imaginable=0.6, model.alpha_max=10"
@@ -123,6 +127,22 @@ def test_a_sweep_over_cell_widths_is_drawn_over_all_of_each(tmp_path: Path) -> N
     axes = drawing.draw().axes
     assert [axis.get_title() for axis in axes] == ["all cell widths together"]
     assert axes[0].get_xlabel() == "scale.cell_widths"
+
+
+def test_members_that_share_no_category_are_drawn(tmp_path: Path) -> None:
+    """A unit of chairs beside a segmentation network, which has beds as well, with two seeds each."""
+    for number, (experiment, seed) in enumerate((e, s) for e in ("chair_unet", "hrnet") for s in (0, 1)):
+        folder = make_folder(
+            tmp_path / str(number), number, seed=seed, choices=[f"+experiment={experiment}", f"seed={seed}"]
+        )
+        table = folder / "tables" / "runs.csv"
+        head, *lines = table.read_text().splitlines()
+        left = ",bed," if experiment == "chair_unet" else "imagination,"
+        table.write_text("\n".join([head, *(line for line in lines if left not in line)]) + "\n")
+    drawn = [drawing for section in read(tmp_path).sections for drawing in section.drawings]
+    assert [drawing.stem for drawing in drawn] == ["ablation_experiment_chair", "ablation_seed_chair"]
+    for drawing in drawn:
+        drawing.draw()
 
 
 def test_a_sweep_that_left_nothing_is_refused(tmp_path: Path) -> None:

@@ -1,11 +1,17 @@
 """What a folder lacks is told and the rest is read; what is damaged is named."""
 
+import json
 from pathlib import Path
 
 import pytest
+import yaml
+from tensorboard.compat.proto.event_pb2 import Event
+from tensorboard.compat.proto.summary_pb2 import Summary
+from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
 from imagination.errors import UserError
 from imagination.report import read
+from imagination.reporting.page import drawings
 from imagination.reporting.results import Results
 from tests.reporting.folders import make_config, make_folder
 
@@ -74,6 +80,48 @@ def test_damaged_curves_are_named(tmp_path: Path) -> None:
     assert "tensorboard" in problems(folder) and "damaged" in problems(folder)
 
 
+def log(folder: Path, **curves: list[float]) -> None:
+    """TensorBoard's file of some curves, a value every ten steps; __ in names stands for /."""
+    writer = EventFileWriter(str(folder))
+    for name, values in curves.items():
+        for place, value in enumerate(values):
+            told = Summary(value=[Summary.Value(tag=name.replace("__", "/"), simple_value=value)])
+            writer.add_event(Event(step=10 * place, wall_time=float(place), summary=told))
+    writer.close()
+
+
+def test_an_evaluation_shows_how_its_networks_were_trained(tmp_path: Path) -> None:
+    """Their commands and their curves side by side, units apart from segmentation; of those whose runs are there."""
+    paths = []
+    for name, predicts, scores in (
+        ("chair_unet", "maps", [0.25, 0.5]), ("bed_unet", "maps", [0.5]), ("hrnet", "images", [0.75]), ("gone", "", []),
+    ):  # fmt: skip
+        run = tmp_path / name / "run"
+        paths.append(str(run / "checkpoints" / "best.ckpt"))
+        if scores:
+            log(run / "tensorboard", train__loss=[3.0, 2.0, 1.0], val__iou=scores)
+            config = {"name": name, "choices": [f"+experiment={name}"], "model": {"predicts": predicts}}
+            (run / "config.yaml").write_text(yaml.safe_dump(config))
+    folder = make_folder(tmp_path / "study", ckpt=paths, choices=[])
+    evaluated = "python -m imagination.evaluate +study=paper ckpt=[…]"
+    (folder / "tables" / "provenance.json").write_text(json.dumps({"command": evaluated}))
+    content = read(folder)
+    assert content.problems == []
+    assert content.commands == [
+        *(f"python -m imagination.train +experiment={name}" for name in ("chair_unet", "bed_unet", "hrnet")),
+        evaluated,
+        f"python -m imagination.report {folder}",
+    ]
+    charts = {drawing.stem: drawing for drawing in drawings(content) if drawing.stem.startswith("curve_")}
+    assert set(charts) == {f"curve_{name}_{kind}" for name in ("loss", "iou") for kind in ("maps", "images")}
+    lines = {line.get_label(): line for line in charts["curve_iou_maps"].draw().axes[0].lines}
+    assert set(lines) == {"chair_unet", "bed_unet"}
+    assert lines["chair_unet"].get_xdata().tolist() == [0, 10]
+    assert lines["chair_unet"].get_ydata().tolist() == [0.25, 0.5]
+    (folder / "config.yaml").write_text(yaml.safe_dump(make_config(ckpt=paths[2], choices=[])))
+    assert read(folder).commands[0] == "python -m imagination.train +experiment=hrnet"
+
+
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="there is no such folder"):
         read(tmp_path / "nothing")
@@ -88,9 +136,30 @@ def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_run_that_never_evaluated_is_shown_as_that(tmp_path: Path) -> None:
-    import yaml
-
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(make_config()))
     content = read(tmp_path)
     assert "runs.csv is missing: the evaluation has not ended" in content.problems[0]
     assert content.sections == [] and "+experiment=made" in content.commands[0]
+
+
+def test_of_an_evaluation_that_stopped_the_homes_so_far_are_counted(tmp_path: Path) -> None:
+    scenes = {"_target_": "tests.sources.Rooms", "splits": {"test": 16}}
+    folder = make_folder(tmp_path / "run", data={"scenes": scenes})
+    (folder / "tables" / "runs.csv").unlink()
+    assert "counted again from the maps saved so far, of 3 of 16 homes" in problems(folder)
+    assert dict(read(folder).facts)["Homes"] == "Rooms, 3 of the test split"
+
+
+@pytest.mark.parametrize("left", ["test_0001_2m_0.npz", "test_0001_3m_1.npz"])
+def test_whatever_maps_are_left_are_drawn(tmp_path: Path, left: str) -> None:
+    folder = make_folder(tmp_path / "run")
+    for path in (folder / "maps").iterdir():
+        if path.name != left:
+            path.unlink()
+    content = read(folder)
+    assert content.problems == [
+        "maps/: those of 11 of 12 runs are missing "
+        "(test_0000 3 m set 0, test_0000 3 m set 1, test_0001 3 m set 0, …)"
+    ]
+    for drawing in drawings(content):
+        drawing.draw()
