@@ -192,6 +192,18 @@ def test_the_study_runs_and_does_nothing_twice(command: Command, tmp_path: Path)
 
 
 @pytest.mark.slow
+def test_the_papers_scale_takes_its_first_steps_on_a_cpu(command: Command, tmp_path: Path) -> None:
+    """With all its numbers but the batch's size and how many homes there are; then one viewpoint set."""
+    fewer = ["scale.homes={train:1,val:1,test:1}", "scale.batch_size=2", "evaluation.viewpoint_sets=1"]
+    steps = ["+experiment=chair_unet", "scale=paper", *fewer, "trainer.fast_dev_run=2"]
+    done = command("train", *steps, timeout=3000)
+    assert done.returncode == 0, done.stderr
+    rows = list(csv.DictReader(only(tmp_path / "outputs", "**/mapping.csv").read_text().splitlines()))
+    assert {(row["cell_width"], row["runs"]) for row in rows} == {("3", "1"), ("2.5", "1"), ("2", "1")}
+    assert all(int(row["truth_pixels"]) > 0 for row in rows)
+
+
+@pytest.mark.slow
 def test_a_wheel_runs_elsewhere(tmp_path: Path) -> None:
     """The package with its conf, away from the checkout: outputs go under the current folder."""
     site, here = tmp_path / "site", tmp_path / "here"
