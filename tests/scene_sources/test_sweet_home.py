@@ -497,6 +497,15 @@ def homes_of(folder: Path, inside: str, **members: str) -> home_source.SweetHome
     return made
 
 
+def test_a_home_that_is_too_narrow_is_named(tmp_path: Path) -> None:
+    home = homes_of(tmp_path, furnished())
+    home._robot_radius = 5.0
+    with pytest.raises(
+        UserError, match=r"scene flat of .*flat\.sh3d: free space: a robot of radius 5\.0 m fits nowhere"
+    ):
+        home.load("flat")
+
+
 BENCH: tuple[Box, ...] = (
     (0, 0, 0, 40, 40, 90),
     (0, 40, 0, 40, 100, 5),  # a back

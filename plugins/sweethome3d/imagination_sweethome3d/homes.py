@@ -106,7 +106,7 @@ class SweetHomes:
         """Build one level.
 
         Raises:
-            UserError: if there is no such scene, or its file is broken.
+            UserError: if there is no such scene, its file is broken, or the robot fits nowhere.
         """
         path, level = self._level(scene)
         parts = [Placed(build_shell(level), z=level.elevation)]
@@ -120,7 +120,10 @@ class SweetHomes:
             for number, part in enumerate(parts)
             if number
         )
-        free = free_space(mesh, level.elevation, self._robot_radius)
+        try:
+            free = free_space(mesh, level.elevation, self._robot_radius)
+        except UserError as error:
+            raise UserError(f"scene {scene} of {path}: {error}") from error
         ceiling = level.elevation + level.height
         return Scene(scene, mesh, LIGHT, objects, free, level.elevation, ceiling)
 
