@@ -13,10 +13,10 @@ FOLDER = "tensorboard"
 
 
 COMPARED = {
-    "train/loss": ("loss", "Training loss"),
-    "val/iou": ("iou", "IoU of single views of validation homes"),
+    "train/loss": ("loss", "loss", "Training loss"),
+    "val/iou": ("iou", "IoU", "Single views of validation homes"),
 }
-"""Curves by which networks are compared, and how these are named."""
+"""Curves by which networks are compared: their name in files and on the axis, and what they are of."""
 
 KINDS = {"maps": "units", "images": "first-person segmentation"}
 """What networks predict, and what those that do are called."""
@@ -52,12 +52,12 @@ def compared(networks: Sequence[tuple[str, str, dict[str, Curve]]]) -> list[Char
         networks: name, what it predicts, and every scalar of each.
     """
     made = []
-    for (kind, called), (tag, (name, title)) in product(KINDS.items(), COMPARED.items()):
+    for (kind, called), (tag, (name, up, title)) in product(KINDS.items(), COMPARED.items()):
         of = {
             network: found[tag] for network, predicts, found in networks if predicts == kind and tag in found
         }
         if of:
-            made.append(Chart(f"curve_{name}_{kind}", f"{title}, {called}", name, of))
+            made.append(Chart(f"curve_{name}_{kind}", f"{title}, {called}", up, of))
     return made
 
 
