@@ -59,6 +59,7 @@ class ScenePool:
             owner = self._worker_of.setdefault(scene, len(self._worker_of) % len(self._workers))
             with _no_interrupt():  # the first call starts the process
                 answer = self._workers[owner].submit(_call, function, scene, args, kwargs)
+            _leave_answers_to_the_worker(self._workers[owner])
             answer.add_done_callback(lambda done: _deliver(done, future))
         else:
             future.set_result(function(self.observer, scene, *args, **kwargs))
@@ -106,6 +107,16 @@ def _deliver(answer: "Future[_Answer]", future: "Future[Any]") -> None:
         future.set_result(answer.result().result)
     else:
         future.set_exception(error)
+
+
+def _leave_answers_to_the_worker(worker: ProcessPoolExecutor) -> None:
+    """Close this process's end for writing answers: a worker that is killed while it writes one is noticed then.
+
+    With it open, the rest of the answer would be waited for for ever.
+    """
+    answers: Any = worker._result_queue  # type: ignore[attr-defined]
+    if not answers._writer.closed:
+        answers._writer.close()
 
 
 @contextmanager

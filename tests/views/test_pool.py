@@ -1,9 +1,13 @@
 """Worker processes: their results, errors and warnings come back; closing waits for nobody."""
 
 import logging
+import os
 import time
 import warnings
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection
 from pathlib import Path
+from signal import SIGKILL
 
 import pytest
 
@@ -44,6 +48,25 @@ def test_warnings_of_workers_reach_the_logs_of_the_main_process(
             assert messages[0] == ("imagination.somewhere", "WARNING", "train_0 is odd")
             assert messages[1][0] == "py.warnings" and "deprecated thing" in messages[1][2]
             assert len(messages) == 2
+    finally:
+        pool.close()
+
+
+def die_while_answering(observer: Observer, scene: str) -> bytes:
+    def half(connection: Connection, message: memoryview) -> None:
+        os.write(connection.fileno(), bytes(message)[: len(message) // 2])
+        os.kill(os.getpid(), SIGKILL)
+
+    Connection._send = half  # type: ignore[assignment, method-assign]
+    return bytes(1000)
+
+
+def test_a_worker_that_is_killed_while_it_answers_is_noticed(tmp_path: Path) -> None:
+    """As the kernel kills one for its memory: the rest of the answer never comes."""
+    pool = ScenePool(observer(tmp_path), workers=1)
+    try:
+        with pytest.raises(BrokenProcessPool):
+            pool.submit(die_while_answering, "one").result(timeout=60)
     finally:
         pool.close()
 
