@@ -114,7 +114,7 @@ def _leave_answers_to_the_worker(worker: ProcessPoolExecutor) -> None:
 
     With it open, the rest of the answer would be waited for for ever.
     """
-    answers: Any = worker._result_queue  # type: ignore[attr-defined]
+    answers: Any = worker._result_queue
     if not answers._writer.closed:
         answers._writer.close()
 
