@@ -101,7 +101,7 @@ def test_one_frame_at_desk_scale_takes_fifty_milliseconds(unit: Path, robot: str
         f"\none frame of {robot}, three units of width 16, {unit.stem}: p50 {p50:.1f} ms, p95 {p95:.1f} ms; "
         f"without the network {rest:.2f} ms"
     )
-    assert p50 < (50 if unit.stem == "once" else 75)
+    assert p50 < 50
     assert p95 <= 1.6 * p50
     assert rest < 6
 
