@@ -61,7 +61,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.final_learning_rate": (0.0, 10.0, ""),
     "scale.unit_width": (1, 1024, "channels"),
     "scale.height_jitter": (0.0, 0.5, ""),
-    "scale.brush": (0.0, 2.0, "m"),
+    "scale.dilated_answers": (0.0, 2.0, "m"),
     "scale.mirrored_share": (0.0, 1.0, ""),
     "scale.encoder_shrink": (1, 64, ""),
     "scale.viewpoint_sets": (1, 10_000, ""),
@@ -202,6 +202,17 @@ def _register() -> None:
         Plugins.instance().register(_SearchPath)
     # there is one store and it is only read, but --help would copy it for each of a hundred config groups
     setattr(ConfigStore, "__deepcopy__", lambda store, memo: store)  # noqa: B010  (mypy knows no such method)
+
+
+def leaves(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Values of a resolved config by dotted key; the class of what a node builds goes by the node's name."""
+    for key, value in node.items():
+        if isinstance(value, dict):
+            yield from leaves(value, f"{prefix}{key}.")
+        elif key == "_target_":
+            yield prefix.removesuffix("."), str(value).rpartition(".")[2]
+        elif not key.startswith("_"):
+            yield f"{prefix}{key}", value
 
 
 def validate(config: DictConfig) -> None:

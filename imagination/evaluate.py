@@ -19,7 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from imagination import runs
 from imagination.config import command, compose, validate
 from imagination.errors import UserError
-from imagination.resume import top
+from imagination.resume import key, top
 
 if TYPE_CHECKING:
     from imagination.checkpoints import Checkpoint
@@ -102,8 +102,8 @@ def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictC
     for other in checkpoints[1:]:
         other.require(checkpoints[0].config, f"checkpoint {checkpoints[0].path}")
     every = [name for one in by_kind["maps"] or by_kind["images"] for name in one.categories]
-    given = {_key(text) for text in overrides}
-    inherited = [text for text in checkpoints[0].state[KEY]["choices"] if _key(text) not in given]
+    given = {key(text) for text in overrides}
+    inherited = [text for text in checkpoints[0].state[KEY]["choices"] if key(text) not in given]
     config = compose(
         "evaluate", [*inherited, f"unit_categories={json.dumps(every)}", "paths.run=.", *overrides]
     )
@@ -154,16 +154,11 @@ def _refuse_other_networks(config: DictConfig, overrides: Sequence[str]) -> None
     """Refuse overrides of what networks are: they stay as they were trained, so nothing would follow from them."""
     described = OmegaConf.to_yaml(config.model)  # with its references to the scale
     for text in overrides:
-        if top(text) == "model" or (top(text) == "scale" and f"${{{_key(text)}}}" in described):
+        if top(text) == "model" or (top(text) == "scale" and f"${{{key(text)}}}" in described):
             raise UserError(
-                f"{_key(text)}: got {text}, but networks are evaluated as they were trained; leave it "
+                f"{key(text)}: got {text}, but networks are evaluated as they were trained; leave it "
                 "out, or train one with it"
             )
-
-
-def _key(override: str) -> str:
-    """What an override sets: Hydra takes a group's option only once."""
-    return override.lstrip("+~").partition("=")[0]
 
 
 def new_folder(config: DictConfig, member: Path | None) -> Path:

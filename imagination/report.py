@@ -42,8 +42,9 @@ def read(folder: Path) -> Content:
     Raises:
         UserError: if it is no run's, evaluation's, study's or sweep's.
     """
+    from imagination.reporting.ablation import of_multirun
     from imagination.reporting.content import of_run
-    from imagination.reporting.multirun import Multirun, is_multirun, of_multirun
+    from imagination.reporting.multirun import Multirun, is_multirun
     from imagination.reporting.results import Results
     from imagination.runs import CONFIG
 

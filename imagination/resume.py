@@ -153,9 +153,14 @@ def choices(overrides: Sequence[str]) -> list[str]:
     return [text for text in overrides if kept(text)]
 
 
+def key(override: str) -> str:
+    """What an override sets."""
+    return override.lstrip("+~").partition("=")[0]
+
+
 def top(override: str) -> str:
     """The node or group of the config that an override is about."""
-    return re.split("[=@./]", override.lstrip("+~"))[0]
+    return re.split("[@./]", key(override))[0]
 
 
 def _existing(config: DictConfig) -> Path:

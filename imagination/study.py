@@ -24,7 +24,7 @@ from imagination.errors import UserError
 from imagination.evaluate import configured
 from imagination.members import EVALUATION_ONLY, key_of
 from imagination.progress import shares, stage
-from imagination.resume import choices, top
+from imagination.resume import choices, key, top
 
 log = logging.getLogger(__name__)
 
@@ -80,8 +80,8 @@ def check(experiments: Sequence[str], training: Sequence[str], evaluation: Seque
 
 def evaluated(override: str) -> bool:
     """Whether only evaluation reads what an override sets."""
-    key = override.lstrip("+~").partition("=")[0]
-    return any(key == node or key.startswith((f"{node}.", f"{node}/")) for node in EVALUATED)
+    changed = key(override)
+    return any(changed == node or changed.startswith((f"{node}.", f"{node}/")) for node in EVALUATED)
 
 
 def planned(experiment: str, overrides: Sequence[str]) -> DictConfig:
@@ -112,23 +112,23 @@ def trained(experiment: str, overrides: Sequence[str], outputs: Path) -> Path:
 
 def newest(outputs: Path, config: DictConfig, finished: bool) -> Path | None:
     """The newest run that trains what a config says and has a checkpoint; with its tables, if it is to be finished."""
-    key = key_of(config, BESIDE)
+    trained_by = key_of(config, BESIDE)
     needed = (runs.LAST, Path("tables") / "mapping.csv") if finished else (runs.LAST,)
     found = [
         path.parent
         for path in outputs.glob(f"{config.name}/*/{runs.COMPOSED}")
         if all((path.parent / name).is_file() for name in needed)
         and not path.parent.is_symlink()
-        and _trains(path, key)
+        and _trains(path, trained_by)
     ]
     return max(found, key=lambda folder: folder.name, default=None)
 
 
-def _trains(path: Path, key: str) -> bool:
-    """Whether the config of a run has this key, and nothing that only evaluation reads, which it would pass on."""
+def _trains(path: Path, trained_by: str) -> bool:
+    """Whether the config of a run has this hash, and nothing that only evaluation reads, which it would pass on."""
     config = OmegaConf.load(path)
     assert isinstance(config, DictConfig)
-    return key_of(config, BESIDE) == key and not any(map(evaluated, config.choices))
+    return key_of(config, BESIDE) == trained_by and not any(map(evaluated, config.choices))
 
 
 def _run(name: str, *overrides: Sequence[str]) -> None:

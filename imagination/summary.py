@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import resource
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from imagination import runs
+from imagination.config import leaves
 from imagination.progress import shares
 from imagination.resume import Run
 
@@ -46,19 +46,8 @@ def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
 def settings(config: DictConfig) -> dict[str, Any]:
     """What TensorBoard shows of a config: values, and the class of what a node builds."""
     values: Any = OmegaConf.to_container(config, resolve=True)
-    return {key: value for node in SETTINGS for key, value in _flat(node, values[node])}
-
-
-def _flat(name: str, node: Any) -> Iterator[tuple[str, Any]]:
-    """Names and values of a tree's leaves; lists count as text, a node's class goes by the node's name."""
-    if isinstance(node, dict):
-        for key, value in node.items():
-            if key == "_target_":
-                yield name, value.rpartition(".")[2]
-            elif not key.startswith("_"):
-                yield from _flat(f"{name}.{key}", value)
-    else:
-        yield name, str(node) if isinstance(node, list) else node
+    shown = leaves({node: values[node] for node in SETTINGS})
+    return {key: str(value) if isinstance(value, list) else value for key, value in shown}
 
 
 def single_views(run: Run, trainer: Trainer) -> str:

@@ -18,7 +18,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from imagination import members, plugins, runs
+from imagination import members, plugins, resume, runs
 from imagination.config import compose, explain, mistakes_told, validate
 from imagination.errors import UserError
 from imagination.progress import shares
@@ -84,7 +84,7 @@ def plan(hydra: DictConfig, config_name: str) -> None:
 
 def told_overrides(overrides: list[str]) -> list[str]:
     """The overrides that say what a member is."""
-    return [text for text in overrides if text.lstrip("+~").partition("=")[0] not in STEERING]
+    return [text for text in overrides if resume.key(text) not in STEERING]
 
 
 def run_member(task: Callable[[DictConfig], float | None], config: DictConfig) -> float | None:

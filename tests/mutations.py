@@ -589,18 +589,18 @@ MUTATIONS = [
         "tests/units/test_contract.py",
     ),
     Mutation(
-        "brush: logits are not averaged",
+        "dilated answers: logits are not averaged",
         "units/unit.py",
         "max_pool2d(mean, cells",
         "max_pool2d(maps, cells",
-        "tests/units/test_contract.py -k brush",
+        "tests/units/test_contract.py -k dilated_answers",
     ),
     Mutation(
-        "brush: cells beyond the rim count as zeros",
+        "dilated answers: cells beyond the rim count as zeros",
         "units/unit.py",
         "count_include_pad=False",
         "count_include_pad=True",
-        "tests/units/test_contract.py -k brush",
+        "tests/units/test_contract.py -k dilated_answers",
     ),
     Mutation(
         "networks: the precision is left as it is",

@@ -86,7 +86,7 @@ def test_paper_holds_the_appendix() -> None:
     sizes = kernels.imaginable, kernels.neighbourhood, kernels.truth
     assert [kernel_cells(size, scale.resolution) for size in sizes] == [50, 31, 30]
     assert config.model.optimizer._target_ == "torch.optim.Adam"
-    assert (scale.mirrored_share, scale.mirrored_answers, scale.brush) == (0.0, False, 0.0)
+    assert (scale.mirrored_share, scale.mirrored_answers, scale.dilated_answers) == (0.0, False, 0.0)
     assert list(scale.heights) == [] and scale.balanced_share == 0.0 and scale.encoder_shrink == 1
     assert config.aggregation_factor == 0.9
     assert config.callbacks.replay_buffer.aggregation_factor == 0.9

@@ -13,7 +13,7 @@ from imagination.geometry.grid import EgoGrid
 from imagination.units.backbones import Backbone, Convolution
 from imagination.units.encoders import TimmEncoder
 from imagination.units.returns import Returns
-from imagination.units.unit import Unit, brush_cells, prediction_head
+from imagination.units.unit import Unit, prediction_head, window_cells
 
 
 class ProjectedUnit(Unit):
@@ -30,7 +30,7 @@ class ProjectedUnit(Unit):
         max_height: metres above the floor; higher returns, of lamps and ceilings, are left out.
         width: channels of the image features that are carried over.
         categories, mirrored_answers: as of every `Unit`.
-        brush: side of its square, metres.
+        dilated_answers: side of its square, metres.
     """
 
     def __init__(
@@ -43,9 +43,9 @@ class ProjectedUnit(Unit):
         width: int,
         categories: Sequence[str],
         mirrored_answers: bool = False,
-        brush: float = 0.0,
+        dilated_answers: float = 0.0,
     ) -> None:
-        super().__init__(categories, mirrored_answers, brush_cells(brush, ego))
+        super().__init__(categories, mirrored_answers, window_cells(dilated_answers, ego))
         self.encoder = encoder
         self.reduce = Convolution(encoder.channels, width, kernel=1)
         self.projection = Projection(camera, ego, max_height)

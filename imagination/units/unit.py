@@ -26,19 +26,21 @@ class Unit(nn.Module, ABC):
 
     A home in a mirror is a home too, so a unit may answer, outside training, with the mean of what it says of the view
     and of the view in a mirror; the paper's units look once. Nothing in the truth is thin, boxes that are filled, so
-    it may answer with a brush, see `brushed`; the paper's units draw cell by cell.
+    its answers may be averaged and dilated over a window; the paper's units answer cell by cell.
 
     Args:
         categories: what to imagine, one map each; the paper has one unit for each category.
         mirrored_answers: whether to look twice, outside training.
-        brush: cells a side of the brush outside training, an odd number; 1 for none.
+        dilated_answers: cells a side of the window outside training, an odd number; 1 for none.
     """
 
-    def __init__(self, categories: Sequence[str], mirrored_answers: bool = False, brush: int = 1) -> None:
+    def __init__(
+        self, categories: Sequence[str], mirrored_answers: bool = False, dilated_answers: int = 1
+    ) -> None:
         super().__init__()
         self.categories = list(categories)
         self.mirrored_answers = mirrored_answers
-        self.brush = brush
+        self.dilated_answers = dilated_answers
 
     def forward(
         self,
@@ -60,7 +62,7 @@ class Unit(nn.Module, ABC):
         if self.mirrored_answers:
             mirrored = self.logits(*(view.flip(-1) for view in (rgb, depth, occupied, seen)))
             logits = (logits + mirrored.flip(-1)) / 2
-        return brushed(logits, self.brush)
+        return smoothed_and_dilated(logits, self.dilated_answers)
 
     @abstractmethod
     def logits(
@@ -88,7 +90,7 @@ class ImaginationUnit(Unit):
         heights: bounds of the bands above the floor, ascending, metres; fewer than two give no band.
         height_jitter: while training, the heights in a view are scaled by a random factor of 1 ± this.
         categories, mirrored_answers: as of every `Unit`.
-        brush: side of its square, metres.
+        dilated_answers: side of its square, metres.
 
     Raises:
         UserError: if the heights do not ascend or the jitter is out of range.
@@ -104,9 +106,9 @@ class ImaginationUnit(Unit):
         height_jitter: float,
         categories: Sequence[str],
         mirrored_answers: bool = False,
-        brush: float = 0.0,
+        dilated_answers: float = 0.0,
     ) -> None:
-        super().__init__(categories, mirrored_answers, brush_cells(brush, ego))
+        super().__init__(categories, mirrored_answers, window_cells(dilated_answers, ego))
         self.encoder = encoder
         self.bands = HeightBands(camera, ego, heights, height_jitter)
         self.backbone = backbone(in_channels=2 + self.bands.count, image_channels=encoder.channels)
@@ -163,16 +165,18 @@ class HeightBands(nn.Module):
         return self.heights[0] / (1 + jitter), self.heights[-1] / (1 - jitter)
 
 
-def brush_cells(size: float, ego: EgoGrid) -> int:
-    """Cells a side of a brush of `size` metres: an odd number, so that nothing shifts.
+def window_cells(size: float, ego: EgoGrid) -> int:
+    """Cells a side of a window of `size` metres: an odd number, so that nothing shifts.
 
-    >>> [brush_cells(size, EgoGrid(resolution=0.06, cells=87)) for size in (0.0, 0.12, 0.18, 0.24)]
+    >>> [window_cells(size, EgoGrid(resolution=0.06, cells=87)) for size in (0.0, 0.12, 0.18, 0.24)]
     [1, 3, 3, 5]
     """
-    return 2 * (kernel_cells(check_range("scale.brush", size, 0.0, 2.0, "m"), ego.resolution) // 2) + 1
+    return (
+        2 * (kernel_cells(check_range("scale.dilated_answers", size, 0.0, 2.0, "m"), ego.resolution) // 2) + 1
+    )
 
 
-def brushed(logits: Float[Tensor, "b c v v"], cells: int) -> Float[Tensor, "b c v v"]:
+def smoothed_and_dilated(logits: Float[Tensor, "b c v v"], cells: int) -> Float[Tensor, "b c v v"]:
     """Logits averaged over a square of so many cells a side, then dilated by it: nothing thinner is drawn."""
     if cells == 1:
         return logits

@@ -55,7 +55,7 @@ def test_it_answers_as_pytorch(files: Path, name: str) -> None:
 
 
 def test_a_unit_may_look_once(tmp_path: Path) -> None:
-    file, views = make_checkpoint(tmp_path / "chair.ckpt", "scale.brush=0"), samples(3)
+    file, views = make_checkpoint(tmp_path / "chair.ckpt", "scale.dilated_answers=0"), samples(3)
     chair = Checkpoint.read(file)
     assert chair.config.scale.mirrored_answers
     export([chair], tmp_path / "once.onnx", "onnx", "float32", views, look_once=True)

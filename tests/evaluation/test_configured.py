@@ -74,9 +74,9 @@ def test_an_override_reaches_everything_that_refers_to_it() -> None:
     [
         "model=projected",
         "model/encoder=timm",
-        "model.unit.brush=0.1",
+        "model.unit.dilated_answers=0.1",
         "scale.mirrored_answers=false",
-        "scale.brush=0.1",
+        "scale.dilated_answers=0.1",
     ],
 )
 def test_networks_stay_as_they_were_trained(chair: Checkpoint, change: str) -> None:

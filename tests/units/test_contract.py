@@ -64,7 +64,10 @@ def test_unit_fulfils_its_contract(variant: str, backbone: str, encoder: str) ->
 def test_mirrored_answers_are_the_mean_of_both_looks(variant: str) -> None:
     twice, once = (
         build(
-            f"+model={variant}", f"scale.mirrored_answers={answers}", "scale.height_jitter=0", "scale.brush=0"
+            f"+model={variant}",
+            f"scale.mirrored_answers={answers}",
+            "scale.height_jitter=0",
+            "scale.dilated_answers=0",
         )
         for answers in ("true", "false")
     )
@@ -80,16 +83,16 @@ def test_mirrored_answers_are_the_mean_of_both_looks(variant: str) -> None:
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize(("brush", "cells"), [(0.0, 1), (0.2, 3), (0.36, 3), (0.5, 5)])
-def test_answers_are_drawn_with_the_brush(variant: str, brush: float, cells: int) -> None:
+@pytest.mark.parametrize(("window", "cells"), [(0.0, 1), (0.2, 3), (0.36, 3), (0.5, 5)])
+def test_dilated_answers_are_those_of_opencv(variant: str, window: float, cells: int) -> None:
     plain, painter = (
         build(
             f"+model={variant}",
-            f"scale.brush={each}",
+            f"scale.dilated_answers={each}",
             "scale.height_jitter=0",
             "scale.mirrored_answers=false",
         )
-        for each in (0.0, brush)
+        for each in (0.0, window)
     )
     views, square = inputs(batch_for()), np.ones((cells, cells))
     with torch.no_grad():
