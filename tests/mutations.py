@@ -540,11 +540,11 @@ MUTATIONS = [
         "tests/evaluation/test_prediction.py",
     ),
     Mutation(
-        "saved maps: threshold not reached",
-        "evaluation/measuring.py",
+        "selection: a threshold that equals the score is not reached",
+        "evaluation/selection.py",
         'side="right")',
         'side="left")',
-        "tests/evaluation/test_protocol.py",
+        "tests/evaluation/test_selection.py",
     ),
     Mutation(
         "saved maps: place of the crop",

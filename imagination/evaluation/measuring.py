@@ -13,7 +13,7 @@ from imagination.evaluation.maps import Area, area_of, score_maps, seen_map
 from imagination.evaluation.metrics import count
 from imagination.evaluation.outcome import Choices
 from imagination.evaluation.runs import Looks, Run, views_of
-from imagination.evaluation.selection import THRESHOLDS, tally
+from imagination.evaluation.selection import THRESHOLDS, reached, tally
 from imagination.geometry.grid import Grid
 from imagination.views.collector import Stream, Views
 from imagination.views.view import Observer, plain
@@ -138,7 +138,7 @@ def _levels(scores: Scores, plan: Plan, area: Area, choices: Choices) -> UInt8[n
         for layer, category in enumerate(plan.setting.categories):
             kernel = choices[name, category].kernel
             score = approach.finished(scores[name][layer], area.truth[layer], kernel, area.grid.resolution)
-            levels[place, layer] = np.searchsorted(THRESHOLDS, score, side="right")
+            levels[place, layer] = reached(score, THRESHOLDS)
     return levels
 
 

@@ -26,6 +26,13 @@ class Choice(NamedTuple):
     iou: float
 
 
+def reached(
+    score: Float32[np.ndarray, "*shape"], thresholds: Float32[np.ndarray, " t"]
+) -> Int64[np.ndarray, "*shape"]:
+    """How many of the thresholds, ascending, each cell reaches: one that equals its score too."""
+    return np.searchsorted(thresholds, score, side="right")
+
+
 def tally(
     score: Float32[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"], thresholds: Float32[np.ndarray, " t"]
 ) -> Int64[np.ndarray, "t 3"]:
@@ -37,7 +44,7 @@ def tally(
         thresholds: ascending.
     """
     considered = score >= thresholds[0]
-    bins = np.searchsorted(thresholds, score[considered], side="right") - 1  # the highest threshold reached
+    bins = reached(score[considered], thresholds) - 1  # the highest one
     hits = truth[considered]
 
     def at_least(chosen: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " t"]:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from imagination.evaluation.metrics import count
-from imagination.evaluation.selection import THRESHOLDS, choose, tally
+from imagination.evaluation.selection import THRESHOLDS, choose, reached, tally
 
 SCORES = st.one_of(
     st.floats(0, 1, width=32), st.sampled_from(THRESHOLDS.tolist()), st.sampled_from([0.0, 0.5, 1.0])
@@ -17,6 +17,8 @@ SCORES = st.one_of(
 def test_tally_equals_every_threshold_tried(score: np.ndarray, truth: np.ndarray) -> None:
     expected = [count(score >= threshold, truth) for threshold in THRESHOLDS]
     assert tally(score, truth, THRESHOLDS).tolist() == np.stack(expected).tolist()
+    levels = reached(score, THRESHOLDS)  # what saved maps hold
+    assert all((levels > place).tolist() == (score >= t).tolist() for place, t in enumerate(THRESHOLDS))
 
 
 def test_cells_that_no_view_wrote_are_in_no_map() -> None:

@@ -84,6 +84,7 @@ def test_an_accumulated_batch_trains_as_a_whole_one() -> None:
         torch.manual_seed(0)
         module = training(ImaginationUnit)
         module.unit = PlainUnit()
+        module.optimizer = partial(torch.optim.SGD, lr=0.01)  # Adam's steps do not grow with the gradient
         trainer = lightning.Trainer(
             max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
             enable_model_summary=False, accumulate_grad_batches=count,
