@@ -60,6 +60,7 @@ def train(run: Run) -> Trainer:
 
 def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
     """Model, data and trainer with its callbacks and logger."""
+    import torch.utils.deterministic
     from hydra.utils import instantiate
     from lightning import seed_everything
 
@@ -72,6 +73,8 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
         config.logger.purge_step = read_state(run.checkpoint)["global_step"] if run.checkpoint else 0
     quiet_lightning()
     seed_everything(config.seed, verbose=False)
+    # deterministic algorithms fill whatever they allocate, to find out who reads it before it is written
+    torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     model = instantiate(config.model.module)
     data = instantiate(config.data.module)
     callbacks = [ConfigInCheckpoint(config), *(instantiate(node) for node in config.callbacks.values())]
@@ -128,6 +131,8 @@ def quiet_lightning() -> None:
     warnings.filterwarnings(
         "ignore", message="Checkpoint directory .* exists and is not empty"
     )  # as it should on resume
+    # batches are ready-made
+    warnings.filterwarnings("ignore", message=".*does not have many workers")
     warnings.filterwarnings("ignore", message=".*sync_dist=True.*")  # these values are the same on all ranks
 
 

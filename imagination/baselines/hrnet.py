@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from imagination.errors import check_choice, check_range
-from imagination.units.backbones import Convolution, resize
+from imagination.units.backbones import Convolution
+from imagination.units.resizing import resize
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Of ImageNet's colours, RGB, 0 to 1: every HRNet's, and the public ADE20K release's."""
@@ -44,9 +45,11 @@ class HRNetV2(nn.Module):
         encoder: Any = timm.create_model(
             name, features_only=True, feature_location="", out_indices=(1, 2, 3, 4)
         )
-        for part in encoder.modules():
-            if isinstance(part, nn.Upsample):
-                part.mode, part.align_corners = "bilinear", False
+        for parent in encoder.modules():
+            for place, part in parent.named_children():
+                if isinstance(part, nn.Upsample):
+                    assert isinstance(part.scale_factor, float)
+                    setattr(parent, place, Enlarge(int(part.scale_factor)))
         channels = sum(branch[-1].conv2.out_channels for branch in encoder.stage4[-1].branches)
         self.encoder = encoder
         self.decoder = nn.Sequential(
@@ -65,11 +68,23 @@ class HRNetV2(nn.Module):
             image = interpolate(image, size=size, mode="bilinear", align_corners=False)
         features = self.encoder(image)
         logits: Tensor = self.decoder(
-            torch.cat([resize(resolution, features[0]) for resolution in features], dim=1)
+            torch.cat([resize(resolution, *features[0].shape[-2:]) for resolution in features], dim=1)
         )
         return logits
 
 
+class Enlarge(nn.Module):
+    """Bilinear, by a whole factor."""
+
+    def __init__(self, factor: int) -> None:
+        super().__init__()
+        self.factor = factor
+
+    def forward(self, features: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c p q"]:
+        height, width = features.shape[-2:]
+        return resize(features, self.factor * height, self.factor * width)
+
+
 def at_size(logits: Float[Tensor, "b k p q"], rows: int, columns: int) -> Float[Tensor, "b k rows columns"]:
     """Logits of every pixel of an image, in single precision."""
-    return interpolate(logits.float(), size=(rows, columns), mode="bilinear", align_corners=False)
+    return resize(logits.float(), rows, columns)

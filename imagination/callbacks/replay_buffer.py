@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from lightning import Callback, LightningModule, Trainer
 
+from imagination.data.ahead import ahead
 from imagination.data.augmentation import mirrored
 from imagination.data.batches import Batch
 from imagination.data.datamodule import SceneData
@@ -101,8 +102,15 @@ class ReplayBufferCallback(Callback):
             self._started[index] = collector.start(index)
 
 
+DRAWING_THREADS = 4
+"""That draw batches while a GPU trains on earlier ones: at the paper's scale one takes as long as a step of an H100."""
+
+
 class _Rounds:
-    """What training iterates over: the batches of the current round, drawn in the main process when asked for."""
+    """What training iterates over: the batches of the current round, drawn in the main process.
+
+    When asked for, where the processor trains too; ahead of it, where a GPU does.
+    """
 
     def __init__(self, callback: ReplayBufferCallback, data: SceneData, trainer: Trainer) -> None:
         self.callback, self.data, self.trainer = callback, data, trainer
@@ -111,13 +119,29 @@ class _Rounds:
         return self.callback.update_batches * self.trainer.accumulate_grad_batches
 
     def __iter__(self) -> Iterator[Batch]:
-        share, count = self.data.batch_size // ranks(), self.trainer.accumulate_grad_batches
-        for number in range(self.callback.update_batches):
-            place = number * ranks() + rank()
-            rng = np.random.default_rng([self.data.seed, Stream.BATCHES, self.trainer.current_epoch, place])
-            views = self.callback.buffer.draw(share, rng)
-            which = rng.random(share) < self.callback.mirrored_share
-            yield from parts(self.data.assemble(mirrored(views, which)), count)
+        threads = DRAWING_THREADS if self._on_gpu else 0
+        for batch in ahead(self._batch, self.callback.update_batches, threads):
+            yield from batch
+
+    @property
+    def _on_gpu(self) -> bool:
+        return self.trainer.strategy.root_device.type == "cuda"
+
+    def _batch(self, number: int) -> list[Batch]:
+        """A batch of the current round, in the parts that it is trained in."""
+        share, place = self.data.batch_size // ranks(), number * ranks() + rank()
+        rng = np.random.default_rng([self.data.seed, Stream.BATCHES, self.trainer.current_epoch, place])
+        views = self.callback.buffer.draw(share, rng)
+        which = rng.random(share) < self.callback.mirrored_share
+        batch = self.data.assemble(mirrored(views, which))
+        cut = parts(batch, self.trainer.accumulate_grad_batches)
+        # pinned memory is copied to a GPU while that computes
+        return [pinned(part) for part in cut] if self._on_gpu else list(cut)
+
+
+def pinned(batch: Batch) -> Batch:
+    """The same in memory that a GPU copies from by itself."""
+    return {name: values.pin_memory() for name, values in batch.items()}
 
 
 def parts(batch: Batch, count: int) -> Iterator[Batch]:

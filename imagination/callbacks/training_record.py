@@ -13,13 +13,14 @@ from imagination.ranks import ranks
 class TrainingRecord(Callback):
     """Counts over all resumptions of a run; the counts lie in its checkpoints and go into an evaluation's tables.
 
-    Logs how fast training is, drawing batches included, and where on the axis of steps loggers show a validation.
+    Logs how fast training is, drawing batches included, which share of that time it waits for them, and where on the
+    axis of steps loggers show a validation.
     """
 
     def __init__(self) -> None:
         self._counts = {"rounds": 0, "samples": 0, "views": 0, "seconds": 0.0, "best": 0.0}
         self._since = monotonic()
-        self._batch_end = 0.0
+        self._batch_begin = self._batch_end = 0.0
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._since = monotonic()
@@ -29,12 +30,18 @@ class TrainingRecord(Callback):
             perf_counter()
         )  # after the replay buffer's turn: what a round collects is not counted
 
+    def on_train_batch_start(
+        self, trainer: Trainer, pl_module: LightningModule, batch: Batch, batch_idx: int
+    ) -> None:
+        self._batch_begin = perf_counter()
+
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int
     ) -> None:
         samples, now = len(batch["rgb"]) * ranks(), perf_counter()
         self._counts["samples"] += samples
         pl_module.log("train/samples_per_second", samples / (now - self._batch_end))
+        pl_module.log("train/waiting", (self._batch_begin - self._batch_end) / (now - self._batch_end))
         self._batch_end = now
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:

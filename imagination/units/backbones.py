@@ -10,9 +10,9 @@ from abc import ABC, abstractmethod
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.functional import interpolate
 
 from imagination.errors import check_range
+from imagination.units.resizing import resize
 
 GROWTH = (1, 2, 4, 8, 8)
 """Channels of each level in multiples of the width."""
@@ -70,7 +70,7 @@ class Backbone(nn.Module, ABC):
         merged = []
         image = self.reduce(image)
         for level, convolutions, merge in zip(levels, self.image_down, self.merge, strict=True):
-            image = convolutions(resize(image, level))
+            image = convolutions(resize(image, *level.shape[-2:]))
             merged.append(merge(torch.cat([level, image], dim=1)))
         return merged
 
@@ -90,7 +90,7 @@ class UNet(Backbone):
     def decode(self, levels: list[Tensor]) -> Tensor:
         features = levels[-1]
         for skip, convolutions in zip(levels[-2::-1], self.up, strict=True):
-            features = convolutions(torch.cat([resize(features, skip), skip], dim=1))
+            features = convolutions(torch.cat([resize(features, *skip.shape[-2:]), skip], dim=1))
         return features
 
 
@@ -104,10 +104,11 @@ class FPN(Backbone):
 
     def decode(self, levels: list[Tensor]) -> Tensor:
         features = self.lateral[-1](levels[-1])
-        result = resize(self.smooth[-1](features), levels[0])
+        size = levels[0].shape[-2:]
+        result = resize(self.smooth[-1](features), *size)
         for index in range(len(levels) - 2, -1, -1):
-            features = self.lateral[index](levels[index]) + resize(features, levels[index])
-            result = result + resize(self.smooth[index](features), levels[0])
+            features = self.lateral[index](levels[index]) + resize(features, *levels[index].shape[-2:])
+            result = result + resize(self.smooth[index](features), *size)
         return result
 
 
@@ -124,10 +125,3 @@ class Convolutions(nn.Sequential):
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(Convolution(inputs, outputs), Convolution(outputs, outputs))
-
-
-def resize(features: Tensor, like: Tensor) -> Tensor:
-    """Bilinear interpolation to the rows and columns of another feature map."""
-    if features.shape[-2:] == like.shape[-2:]:
-        return features
-    return interpolate(features, size=like.shape[-2:], mode="bilinear", align_corners=False)

@@ -7,9 +7,10 @@ import timm
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool2d, interpolate
+from torch.nn.functional import avg_pool2d
 
 from imagination.errors import UserError
+from imagination.units.resizing import resize
 
 EARLY_STRIDES = (4, 8)
 """Pixels per feature of the stages that are kept; of ResNet-18 these are its first two, 64 and 128 channels."""
@@ -58,8 +59,8 @@ class TimmEncoder(nn.Module):
         maps = self.model((images - self.mean) / self.deviation)
         if str(getattr(self.model, "output_fmt", "NCHW")).endswith("NHWC"):
             maps = [features.permute(0, 3, 1, 2) for features in maps]
-        size = maps[-1].shape[-2:]
-        finer = [interpolate(features, size=size, mode="area") for features in maps[:-1]]
+        rows, columns = maps[-1].shape[-2:]
+        finer = [resize(features, rows, columns, "area") for features in maps[:-1]]
         return torch.cat([*finer, maps[-1]], dim=1)
 
     def _try_out(self, name: str, height: int, width: int) -> int:

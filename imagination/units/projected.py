@@ -6,12 +6,12 @@ from math import inf
 import torch
 from jaxtyping import Float, Float16, UInt8
 from torch import Tensor, nn
-from torch.nn.functional import interpolate
 
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.units.backbones import Backbone, Convolution
 from imagination.units.encoders import TimmEncoder
+from imagination.units.resizing import resize
 from imagination.units.returns import Returns
 from imagination.units.unit import Unit, prediction_head, window_cells
 
@@ -60,7 +60,7 @@ class ProjectedUnit(Unit):
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
         """See `Unit`. The images are of the camera's size."""
-        image = interpolate(self.reduce(self.encoder(rgb)), size=depth.shape[-2:], mode="bilinear")
+        image = resize(self.reduce(self.encoder(rgb)), *depth.shape[-2:])
         maps = [occupied.float(), seen.float(), self.projection(image, depth)]
         logits: Tensor = self.head(self.backbone(torch.cat(maps, dim=1)))
         return logits

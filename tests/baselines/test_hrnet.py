@@ -4,6 +4,7 @@ from functools import partial
 
 import lightning
 import pytest
+import timm
 import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
@@ -48,7 +49,23 @@ def test_all_four_resolutions_reach_the_head() -> None:
     assert network(image).shape == (1, 5, 16, 24)
     network(image).sum().backward()
     assert all(weight.grad is not None for weight in network.parameters())
-    assert {part.mode for part in network.modules() if isinstance(part, nn.Upsample)} == {"bilinear"}
+
+
+def test_branches_are_fused_bilinearly() -> None:
+    """As nn.Upsample does it when it is told to; timm's networks take the nearest value."""
+    network, alike = (
+        HRNetV2(NAME, 5).eval().encoder,
+        timm.create_model(NAME, features_only=True, feature_location="", out_indices=(1, 2, 3, 4)).eval(),
+    )
+    alike.load_state_dict(network.state_dict())
+    alike.to(memory_format=torch.channels_last)
+    for part in alike.modules():
+        if isinstance(part, nn.Upsample):
+            part.mode, part.align_corners = "bilinear", False
+    image = torch.rand(2, 3, 64, 96, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        for found, expected in zip(network(image), alike(image), strict=True):
+            torch.testing.assert_close(found, expected)
 
 
 @pytest.mark.parametrize(

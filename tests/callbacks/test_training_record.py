@@ -22,10 +22,12 @@ class Slow(LightningModule):
         super().__init__()
         self.layer = torch.nn.Linear(1, 1)
         self.speeds: list[float] = []
+        self.waiting: list[float] = []
         self.steps: list[float] = []
 
     def training_step(self, batch: dict[str, Tensor], index: int) -> Tensor:
         if "train/samples_per_second" in self.trainer.callback_metrics:
+            self.waiting.append(float(self.trainer.callback_metrics["train/waiting"]))
             self.speeds.append(float(self.trainer.callback_metrics["train/samples_per_second"]))
         self.log("data/collected_views", 7.0)
         time.sleep(STEP)
@@ -68,6 +70,7 @@ def test_a_training_is_counted_and_timed_with_its_drawing() -> None:
     assert state["best"] == pytest.approx(0.5)
     assert 2 * BATCHES * (DRAWING + STEP) <= state["seconds"] <= took
     assert all(0 < speed <= VIEWS / (DRAWING + STEP) for speed in module.speeds) and module.speeds
+    assert 0.5 < sorted(module.waiting)[len(module.waiting) // 2] < 0.9  # DRAWING of DRAWING + STEP
     assert module.steps == [BATCHES - 1, 2 * BATCHES - 1]  # where a validation stands among the updates
 
     resumed = TrainingRecord()
