@@ -43,7 +43,7 @@ def test_a_gpu_and_the_cpu_agree(command: Command, tmp_path: Path, monkeypatch: 
     for device in (os.environ.get("CUDA_VISIBLE_DEVICES", "0"), "-1"):
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", device)
         done = command(
-            "evaluate", "ckpt=outputs/chair_unet/latest/checkpoints/best.ckpt", "paths.cache=" + device
+            "evaluate", "ckpt=outputs/chair_unet/latest/checkpoints/best.ckpt", "paths.cache=cache" + device
         )
         assert done.returncode == 0, done.stderr
         folder = max(tmp_path.glob("outputs/chair_unet/evaluate_*"), key=os.path.getmtime)

@@ -94,7 +94,8 @@ class SegmentationTraining(LightningModule):
         """The loss, and the likeliest class of each pixel."""
         truth = batch["segmentation"].long()
         logits = at_size(self(batch["rgb"]), *truth.shape[-2:])
-        total = cross_entropy(logits, truth, reduction="sum")
+        # pixel by pixel: of images, GPUs sum up in a random order
+        total = cross_entropy(logits.permute(0, 2, 3, 1).flatten(0, 2), truth.flatten(), reduction="sum")
         return total / max(1, truth.numel()), logits.argmax(dim=1)  # a process may have got no view
 
     def _score(self, batch: Batch, stage: str, scores: MulticlassConfusionMatrix) -> None:

@@ -3,6 +3,7 @@
 from time import monotonic, perf_counter
 from typing import Any
 
+import torch
 from lightning import Callback, LightningModule, Trainer
 
 from imagination.callbacks.pictures import last_step
@@ -38,6 +39,8 @@ class TrainingRecord(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int
     ) -> None:
+        if pl_module.device.type == "cuda":  # which is still computing; the loggers would wait for it next
+            torch.cuda.synchronize()
         samples, now = len(batch["rgb"]) * ranks(), perf_counter()
         self._counts["samples"] += samples
         pl_module.log("train/samples_per_second", samples / (now - self._batch_end))
