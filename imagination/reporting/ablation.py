@@ -154,8 +154,8 @@ def _commands(sweep: Multirun, first: Results) -> list[str]:
         given = [text for text in asked["overrides"]["task"] if not text.startswith("sweep_dir=")]
         swept = shlex.join(["python", "-m", f"imagination.{asked['job']['name']}", "-m", *given])
     except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError):
-        return [report]  # a search leaves no such file
-    return [*(trainings(first) if "ckpt" in first.config else []), swept, report]
+        swept = str(first.provenance.get("command", ""))  # a search leaves no such file
+    return [*(trainings(first) if "ckpt" in first.config else []), *filter(None, [swept]), report]
 
 
 def _told(values: Mapping[str, str]) -> str:

@@ -126,8 +126,17 @@ def commands(results: Results) -> list[str]:
 
 def trainings(results: Results) -> list[str]:
     """The commands that trained the networks."""
-    choices = [[str(text) for text in run.config.get("choices") or []] for run in results.trained]
-    return [shlex.join(["python", "-m", "imagination.train", *given]) for given in choices if given]
+    return [command for run in results.trained if (command := _training_of(run))]
+
+
+def _training_of(run: Results) -> str:
+    """As it was given; what was chosen, of a run that was resumed, was a sweep's member or did not end."""
+    told = str(run.provenance.get("command", ""))
+    _, train, given = told.partition("imagination.train")
+    if train and not any(mark in f"{given} " for mark in (" -m ", "--multirun", "resume=", "ckpt_path=")):
+        return told
+    chosen = [str(text) for text in run.config.get("choices") or []]
+    return shlex.join(["python", "-m", "imagination.train", *chosen]) if chosen else ""
 
 
 def as_yaml(results: Results) -> str:

@@ -1,5 +1,6 @@
 """Sweeps: what was swept is found, members that failed or are missing are told, the rest is shown."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -72,6 +73,12 @@ def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
 def test_what_was_swept_is_found_in_configs_that_name_no_choices(sweep: Path) -> None:
     """As evaluations do; a key that only repeats another one is not named again."""
     (sweep / "multirun.yaml").unlink()
+    told = "python -m imagination.train -m +experiment=made +hparams_search=optuna"
+    (sweep / "0" / "tables" / "provenance.json").write_text(json.dumps({"command": told}))
+    assert read(sweep).commands == [
+        told,
+        f"python -m imagination.report {sweep}",
+    ]  # a search's page has its own
     for path in sweep.glob("*/config.yaml"):
         config = yaml.safe_load(path.read_text())
         path.write_text(yaml.safe_dump({**config, "choices": []}))
