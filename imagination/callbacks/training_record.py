@@ -14,8 +14,8 @@ from imagination.ranks import ranks
 class TrainingRecord(Callback):
     """Counts over all resumptions of a run; the counts lie in its checkpoints and go into an evaluation's tables.
 
-    Logs how fast training is, drawing batches included, which share of that time it waits for them, and where on the
-    axis of steps loggers show a validation.
+    Logs how fast training is, drawing batches included, which share of that time lies between steps (batches, loggers),
+    and where on the axis of steps loggers show a validation.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class TrainingRecord(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int
     ) -> None:
-        if pl_module.device.type == "cuda":  # which is still computing; the loggers would wait for it next
+        if pl_module.device.type == "cuda":  # which is still computing
             torch.cuda.synchronize()
         samples, now = len(batch["rgb"]) * ranks(), perf_counter()
         self._counts["samples"] += samples

@@ -11,6 +11,8 @@ Item = TypeVar("Item")
 def ahead(make: Callable[[int], Item], count: int, threads: int) -> Iterator[Item]:
     """make(0), make(1), … up to `count` in their order, by as many threads, which are as many items ahead.
 
+    What `make` raises is raised in that item's turn. Closing the iterator waits for the items that are being made.
+
     Args:
         make: an item; which one depends on the number alone, and several are made at once.
         count: of items.

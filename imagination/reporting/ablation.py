@@ -154,7 +154,9 @@ def _commands(sweep: Multirun, first: Results) -> list[str]:
         given = [text for text in asked["overrides"]["task"] if not text.startswith("sweep_dir=")]
         swept = shlex.join(["python", "-m", f"imagination.{asked['job']['name']}", "-m", *given])
     except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError):
-        swept = str(first.provenance.get("command", ""))  # a search leaves no such file
+        told = str(first.provenance.get("command", "")).split()  # a search leaves no such file
+        swept = " ".join(text for text in told if "sweep_dir=" not in text)
+        swept = swept if "imagination.train" in swept or "imagination.evaluate" in swept else ""
     return [*(trainings(first) if "ckpt" in first.config else []), *filter(None, [swept]), report]
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import yaml
 from matplotlib.figure import Figure
 
+from imagination import members
 from imagination.evaluation import style
 from imagination.evaluation.single_views import CELLS, FILE, MIN_LABEL, TABLE, ranked_by
 from imagination.reporting import curves, layout, map_figures, score_figures, view_figures
@@ -132,8 +133,8 @@ def trainings(results: Results) -> list[str]:
 def _training_of(run: Results) -> str:
     """As it was given; what was chosen, of a run that was resumed, was a sweep's member or did not end."""
     told = str(run.provenance.get("command", ""))
-    _, train, given = told.partition("imagination.train")
-    if train and not any(mark in f"{given} " for mark in (" -m ", "--multirun", "resume=", "ckpt_path=")):
+    alone = not (run.folder.parent / members.FILE).is_file()
+    if alone and "imagination.train" in told and not any(mark in told for mark in ("resume=", "ckpt_path=")):
         return told
     chosen = [str(text) for text in run.config.get("choices") or []]
     return shlex.join(["python", "-m", "imagination.train", *chosen]) if chosen else ""

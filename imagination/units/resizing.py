@@ -35,12 +35,12 @@ def resize(
 def by_products(
     features: Float[Tensor, "b c h w"], rows: int, columns: int, mode: str = "bilinear"
 ) -> Float[Tensor, "b c rows columns"]:
-    """`resize` by two matrix products, channels-last throughout."""
+    """`resize` by two matrix products; channels lie last in memory, whatever the other layers do."""
     height, width = features.shape[-2:]
     last = features.permute(0, 2, 3, 1)  # not copied where channels lie last in memory
     with torch.autocast(features.device.type, enabled=False):  # numbers stay of the kind that they are
         down = _weights(height, rows, mode, last.device).to(last.dtype) @ last.flatten(2)
-        lines = down.view(len(last), rows, width, -1)
+        lines = down.view(len(last), rows, width, features.shape[1])
         across: Tensor = _weights(width, columns, mode, last.device).to(last.dtype) @ lines
     return across.permute(0, 3, 1, 2)
 

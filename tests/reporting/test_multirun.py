@@ -73,8 +73,11 @@ def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
 def test_what_was_swept_is_found_in_configs_that_name_no_choices(sweep: Path) -> None:
     """As evaluations do; a key that only repeats another one is not named again."""
     (sweep / "multirun.yaml").unlink()
-    told = "python -m imagination.train -m +experiment=made +hparams_search=optuna"
-    (sweep / "0" / "tables" / "provenance.json").write_text(json.dumps({"command": told}))
+    told = "python -m imagination.train +experiment=made +hparams_search=optuna"
+    where = sweep / "0" / "tables" / "provenance.json"
+    where.write_text(json.dumps({"command": "python -m somebody.s worker"}))
+    assert read(sweep).commands == [f"python -m imagination.report {sweep}"]
+    where.write_text(json.dumps({"command": f"{told} sweep_dir=old"}))
     assert read(sweep).commands == [
         told,
         f"python -m imagination.report {sweep}",

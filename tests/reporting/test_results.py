@@ -128,16 +128,16 @@ def test_an_evaluation_shows_how_its_networks_were_trained(tmp_path: Path) -> No
         ("+experiment=made trainer.max_epochs=3", "+experiment=made trainer.max_epochs=3"),  # as it was given
         ("resume=latest", "+experiment=made"),
         ("ckpt_path=made/last.ckpt", "+experiment=made"),
-        ("-m +experiment=made seed=1,2", "+experiment=made"),
     ],
 )
 def test_a_training_is_made_again_as_it_was_begun(tmp_path: Path, given: str, again: str) -> None:
     folder = make_folder(tmp_path / "run", choices=["+experiment=made"])
     told = f"python -m imagination.train {given}"
     (folder / "tables" / "provenance.json").write_text(json.dumps({"command": told}))
-    assert read(folder).commands == [
-        f"python -m imagination.train {again}", f"python -m imagination.report {folder}",
-    ]  # fmt: skip
+    report = f"python -m imagination.report {folder}"
+    assert read(folder).commands == [f"python -m imagination.train {again}", report]
+    (tmp_path / "members.csv").write_text("")  # a sweep's member: its values, not the sweep
+    assert read(folder).commands == ["python -m imagination.train +experiment=made", report]
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:

@@ -36,6 +36,11 @@ def test_the_kind_of_numbers_and_channels_last_stay(kind: torch.dtype) -> None:
     torch.testing.assert_close(made.float(), expected, atol=1e-6 if kind == torch.float32 else 0.02, rtol=0)
 
 
+def test_no_view_is_no_view() -> None:
+    """Of several processes one may have got none."""
+    assert by_products(torch.rand(0, 3, 5, 6), 7, 4).shape == (0, 3, 7, 4)
+
+
 def test_training_goes_on_after_an_evaluation_resized_first() -> None:
     with torch.inference_mode():
         by_products(torch.rand(1, 1, 11, 13), 17, 19)
