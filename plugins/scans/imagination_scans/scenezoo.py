@@ -36,6 +36,10 @@ class SceneZoo:
         return self.dataset
 
     def buildings(self, folder: Path) -> dict[str, Path]:
+        if not any(path.is_dir() for path in folder.iterdir()):  # before its lists are fetched
+            raise UserError(
+                f"{self.dataset}: found no folder in {folder.resolve()}; expected {self.expected}"
+            )
         known = self._splits(folder)
         folders = {path.name: path for path in sorted(folder.glob("**/")) if path.name in known}
         if not folders:
