@@ -17,7 +17,7 @@ def resize(
     """Feature maps of other rows and columns, as `interpolate` makes them (corners not aligned).
 
     On GPUs by two matrix products: the gradients of PyTorch's own kernels there are sums in a random order or, where
-    they offer another one, took three quarters of the paper's training step.
+    they offer another one, took nearly two thirds of a training step at the paper's scale.
 
     Args:
         features: as they are.
