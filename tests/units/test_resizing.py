@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.nn.functional import interpolate
 
@@ -11,6 +11,7 @@ from imagination.units.resizing import by_products, resize
 SIDE = st.integers(1, 12)
 
 
+@settings(deadline=None)  # the first call checks shapes for the first time
 @given(
     st.tuples(SIDE, SIDE), st.tuples(SIDE, SIDE), st.sampled_from(["bilinear", "area"]), st.integers(0, 99)
 )
