@@ -59,6 +59,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.rounds": (1, 10**9, "rounds"),
     "scale.learning_rate": (0.0, 10.0, ""),
     "scale.final_learning_rate": (0.0, 10.0, ""),
+    "scale.hrnet_final_learning_rate": (0.0, 10.0, ""),
     "scale.unit_width": (1, 1024, "channels"),
     "scale.height_jitter": (0.0, 0.5, ""),
     "scale.dilated_answers": (0.0, 2.0, "m"),

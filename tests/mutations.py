@@ -577,8 +577,8 @@ MUTATIONS = [
     Mutation(
         "training until flat: ends one validation late",
         "callbacks/until_flat.py",
-        "self._lowered == self.lowerings and self._waited >= self.patience",
-        "self._lowered == self.lowerings and self._waited > self.patience",
+        "return self._waited >= self.patience",
+        "return self._waited > self.patience",
         "tests/callbacks",
     ),
     Mutation(

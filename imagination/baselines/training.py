@@ -1,6 +1,7 @@
 """Training of a first-person segmentation network with Lightning."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import torch
 from jaxtyping import Float, UInt8
@@ -8,6 +9,7 @@ from lightning import LightningModule
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
 from torchmetrics.classification import MulticlassConfusionMatrix
 
 from imagination.baselines.hrnet import at_size
@@ -24,6 +26,7 @@ class SegmentationTraining(LightningModule):
         network: makes the network, given the number of `classes`: none, then each category.
         categories: told apart.
         optimizer: makes the optimiser, given parameters.
+        scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
         mirrored_answers: outside training, answer with the mean of what is said of an image and of it in a mirror, as
             units do.
     """
@@ -33,11 +36,13 @@ class SegmentationTraining(LightningModule):
         network: Callable[..., nn.Module],
         categories: Sequence[str],
         optimizer: Callable[..., Optimizer],
+        scheduler: Callable[..., LRScheduler],
         mirrored_answers: bool = False,
     ) -> None:
         super().__init__()
         self.categories = list(categories)
         self.optimizer = optimizer
+        self.scheduler = scheduler
         self.mirrored_answers = mirrored_answers
         classes = 1 + len(self.categories)
         self.network = network(classes=classes)
@@ -87,8 +92,9 @@ class SegmentationTraining(LightningModule):
     def on_test_epoch_end(self) -> None:
         self._log_scores("test", self.test_scores)
 
-    def configure_optimizers(self) -> Optimizer:
-        return self.optimizer(self.parameters())
+    def configure_optimizers(self) -> Any:  # Lightning's own type for this is a union of many
+        optimizer = self.optimizer(self.parameters())
+        return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer)}
 
     def _compare(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """The loss, and the likeliest class of each pixel."""

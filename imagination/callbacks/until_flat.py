@@ -11,7 +11,7 @@ log = logging.getLogger(__name__)
 
 
 class UntilFlat(Callback):
-    """Lowers the learning rate each time the score stays flat, and ends training when it does after the last lowering.
+    """Ends training when the score is flat, after as many rounds as the learning rate's schedule has.
 
     Flat means that for `patience` validations in a row it was not above the best one by `margin`. Its state lies in
     checkpoints, so that a resumed run does the same.
@@ -20,21 +20,15 @@ class UntilFlat(Callback):
         monitor: the score, e.g. "val/iou"; more is better.
         patience: validations.
         margin: by which a score must be above the best one.
-        lowerings: of the learning rate.
-        factor: that each lowering multiplies the learning rate with.
-        min_rounds: before which training does not end.
+        min_rounds: before which training does not end, as the learning rate still falls.
     """
 
-    def __init__(
-        self, monitor: str, patience: int, margin: float, lowerings: int, factor: float, min_rounds: int
-    ) -> None:
+    def __init__(self, monitor: str, patience: int, margin: float, min_rounds: int) -> None:
         self.monitor = monitor
         self.patience = int(check_range("until_flat.patience", patience, 1, 10_000, "validations"))
         self.margin = check_range("until_flat.margin", margin, 0.0, 1.0)
-        self.lowerings = int(check_range("until_flat.lowerings", lowerings, 0, 100))
-        self.factor = check_range("until_flat.factor", factor, 0.0, 1.0, open_low=True)
         self.min_rounds = int(check_range("until_flat.min_rounds", min_rounds, 1, 10**9, "rounds"))
-        self._best, self._waited, self._lowered = float("-inf"), 0, 0
+        self._best, self._waited = float("-inf"), 0
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         score = float(trainer.callback_metrics[self.monitor])
@@ -42,10 +36,6 @@ class UntilFlat(Callback):
             self._best, self._waited = score, 0
             return
         self._waited += 1
-        if self._waited >= self.patience and self._lowered < self.lowerings:
-            for group in trainer.optimizers[0].param_groups:
-                group["lr"] *= self.factor
-            self._lowered, self._waited = self._lowered + 1, 0
         self._end_if_flat(trainer, trainer.current_epoch + 1)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -63,14 +53,14 @@ class UntilFlat(Callback):
 
     @property
     def flat(self) -> bool:
-        """Whether the score stays flat after the last lowering."""
-        return self._lowered == self.lowerings and self._waited >= self.patience
+        """Whether the newest scores are not above the best one before them."""
+        return self._waited >= self.patience
 
     def _end_if_flat(self, trainer: Trainer, rounds: int) -> None:
         trainer.should_stop = trainer.should_stop or (self.flat and rounds >= self.min_rounds)
 
     def state_dict(self) -> dict[str, Any]:
-        return {"best": self._best, "waited": self._waited, "lowered": self._lowered, "flat": self.flat}
+        return {"best": self._best, "waited": self._waited, "flat": self.flat}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self._best, self._waited, self._lowered = (state_dict[name] for name in ("best", "waited", "lowered"))
+        self._best, self._waited = state_dict["best"], state_dict["waited"]

@@ -16,11 +16,13 @@ from imagination.errors import UserError
 
 NAME = "hrnet_w18_small"
 
+HALVED = partial(torch.optim.lr_scheduler.StepLR, step_size=1, gamma=0.5)  # once an epoch
+
 
 def module(**options: float) -> SegmentationTraining:
     torch.manual_seed(0)
     network = partial(HRNetV2, NAME, **options)
-    return SegmentationTraining(network, ["chair", "bed"], partial(torch.optim.Adam, lr=0.003))
+    return SegmentationTraining(network, ["chair", "bed"], partial(torch.optim.Adam, lr=0.003), HALVED)
 
 
 def batch(views: int = 2, seed: int = 0) -> dict[str, Tensor]:
@@ -79,7 +81,7 @@ def test_images_of_any_size_will_do(size: tuple[int, int], enlarge: float, expec
 
 def test_one_batch_can_be_learnt_by_heart_and_segmenting_leaves_no_trace() -> None:
     trained, views = module(), batch()
-    optimizer = trained.configure_optimizers()
+    optimizer = trained.configure_optimizers()["optimizer"]
     for _ in range(60):
         loss, _ = trained._compare(views)
         optimizer.zero_grad()
@@ -130,7 +132,7 @@ def test_an_accumulated_batch_trains_as_a_whole_one() -> None:
     weights = []
     for count in (1, 3):  # 7 views: parts of 3, 2 and 2
         torch.manual_seed(0)
-        trained = SegmentationTraining(Pixels, ["chair", "bed"], partial(torch.optim.SGD, lr=0.01))
+        trained = SegmentationTraining(Pixels, ["chair", "bed"], partial(torch.optim.SGD, lr=0.01), HALVED)
         trainer = lightning.Trainer(
             max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
             enable_model_summary=False, accumulate_grad_batches=count,

@@ -16,43 +16,37 @@ class Played(Trainer):
     callback_metrics: dict[str, torch.Tensor] = {}
     current_epoch = 0
     should_stop = False
-    optimizers: list[torch.optim.Optimizer] = []
 
-    def __init__(self, rate: float = 1.0) -> None:
+    def __init__(self) -> None:
         self.callback_metrics = {}
-        self.optimizers = [torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], rate)]
 
 
 MODULE = LightningModule()
 
 
 def callback(**changes: Any) -> UntilFlat:
-    settings = {"patience": 2, "margin": 0.01, "lowerings": 2, "factor": 0.1, "min_rounds": 1}
+    settings = {"patience": 2, "margin": 0.01, "min_rounds": 1}
     return UntilFlat("val/iou", **(settings | changes))
 
 
-def play(until: UntilFlat, fake: Played, scores: list[float]) -> list[float]:
-    """The learning rate after each validation; ends with the training."""
-    rates = []
-    for score in scores:
+def play(until: UntilFlat, fake: Played, scores: list[float]) -> int:
+    """How many of the scores were reached before training ended."""
+    for number, score in enumerate(scores, start=1):
         fake.callback_metrics["val/iou"] = torch.tensor(score)
         until.on_validation_end(fake, MODULE)
         fake.current_epoch += 1
-        rates.append(fake.optimizers[0].param_groups[0]["lr"])
         if fake.should_stop:
-            break
-    return rates
+            return number
+    return len(scores)
 
 
-def test_the_rate_falls_when_the_score_is_flat_and_training_ends_when_it_stays_so() -> None:
-    scores = [0.1, 0.2, 0.205, 0.2, 0.3, 0.3, 0.305, 0.3, 0.2, 0.9]
-    rates = play(callback(), Played(), scores)
-    # flat after the 4th (+ .005 is less than the margin) and the 7th; two more end it, before the 10th
-    assert rates == pytest.approx([1, 1, 1, 0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
+def test_training_ends_when_the_score_stays_flat() -> None:
+    # .205 is less than the margin above .2, .3 is more, then two that are not
+    assert play(callback(), Played(), [0.1, 0.2, 0.205, 0.3, 0.305, 0.2, 0.9]) == 6
 
 
 def test_it_lasts_at_least_as_long_as_the_units() -> None:
-    assert len(play(callback(min_rounds=8), Played(), [0.1] * 20)) == 8
+    assert play(callback(min_rounds=8), Played(), [0.1] * 20) == 8
 
 
 def test_ending_before_the_units_do_is_told(caplog: pytest.LogCaptureFixture) -> None:
@@ -68,14 +62,13 @@ def test_ending_before_the_units_do_is_told(caplog: pytest.LogCaptureFixture) ->
 
 
 def test_a_resumed_training_does_the_same() -> None:
-    scores = [0.1, 0.1, 0.1, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2]
-    whole = play(callback(), Played(), scores)
-    for cut in range(1, len(whole)):
-        first, fake = callback(), Played()
-        rates = play(first, fake, scores[:cut])
-        second, other = callback(), Played(rates[-1])
+    scores = [0.1, 0.1, 0.2, 0.2, 0.2, 0.2]
+    assert play(callback(), Played(), scores) == 5
+    for cut in range(1, 5):
+        first, second = callback(), callback()
+        assert play(first, Played(), scores[:cut]) == cut
         second.load_state_dict(first.state_dict())
-        assert rates + play(second, other, scores[cut:]) == pytest.approx(whole)
+        assert play(second, Played(), scores[cut:]) == 5 - cut
 
 
 def test_a_finished_training_that_is_resumed_ends_at_once() -> None:
@@ -90,7 +83,7 @@ def test_a_finished_training_that_is_resumed_ends_at_once() -> None:
 
 
 def test_values_out_of_range_are_refused() -> None:
-    with pytest.raises(UserError, match=r"until_flat\.factor: got 0"):
-        callback(factor=0.0)
+    with pytest.raises(UserError, match=r"until_flat\.margin: got -0.1"):
+        callback(margin=-0.1)
     with pytest.raises(UserError, match=r"until_flat\.patience: got 0"):
         callback(patience=0)
