@@ -42,16 +42,18 @@ def main(config: DictConfig) -> None:
     config.paths.run = str(folder)
     with runs.logging_to(folder / "run.log"):
         runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
-        frames = Frames(recording)
+        frames = Frames(recording, config.max_speed)
         viewer.open(folder, mapper)
         try:
             status = run(mapper, frames, viewer)
         finally:
-            if frames.mapped:  # whatever ended it
-                mapper.save(folder, config.threshold)
-                runs.point_latest(folder)
-                log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
-            viewer.close()
+            try:
+                if frames.mapped:  # whatever ended it
+                    mapper.save(folder, config.threshold)
+                    runs.point_latest(folder)
+                    log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
+            finally:
+                viewer.close()
     sys.exit(status)
 
 

@@ -42,6 +42,17 @@ class Marker(NoViewer):
         self.file.touch()
 
 
+class Blocking(NoViewer):
+    """A viewer beside which no map can be saved; leaves a file when it is closed."""
+
+    def open(self, folder: Path, mapper: SemanticMapper) -> None:
+        self.folder = folder
+        (folder / "map.yaml").mkdir()
+
+    def close(self) -> None:
+        (self.folder / "closed").touch()
+
+
 class Failing(NoViewer):
     """A viewer that breaks at the third frame."""
 

@@ -112,6 +112,16 @@ def test_the_map_has_the_frame_of_the_recording_and_survives_a_viewer_that_break
     assert load_maps(folder).frame == "earth"
 
 
+def test_a_viewer_is_closed_where_the_map_cannot_be_saved(
+    command: Command, tmp_path: Path, unit_file: Path, frames: list[Taken]
+) -> None:
+    record_tum(tmp_path / "tum", frames, CAMERA)
+    arguments = ["recording.path=tum", K, f"unit={unit_file}", "viewer._target_=tests.modules.Blocking"]
+    done = command("map", *arguments)
+    assert done.returncode == 1 and "IsADirectoryError" in done.stderr
+    assert len(list((tmp_path / "outputs" / "map").glob("*/closed"))) == 1
+
+
 def test_if_no_frame_can_be_mapped_it_is_an_error(
     command: Command, tmp_path: Path, unit_file: Path, frames: list[Taken]
 ) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 import yaml
 from jaxtyping import Bool, Float64
 
+from imagination.decoding import decode
 from imagination.errors import UserError, check_choice, check_range
 from imagination.geometry.grid import MAX_CELLS, Grid
 from imagination.mapping.maps import FREE, OCCUPIED, UNKNOWN, Layer, MapObject, Maps
@@ -258,13 +259,10 @@ def _read_shades(path: Path, mode: str) -> tuple[Float64[np.ndarray, "h w"], Boo
         data = path.read_bytes()
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from error
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    if image is None:
-        raise UserError(f"{path}: is no image that can be read; expected PGM, PNG or BMP")
-    if max(image.shape[:2]) > MAX_CELLS:
-        raise UserError(
-            f"{path}: got {image.shape[1]} x {image.shape[0]} cells, expected at most {MAX_CELLS} a side"
-        )
+    try:
+        image = decode(data, cv2.IMREAD_UNCHANGED, MAX_CELLS)
+    except UserError as error:
+        raise UserError(f"{path}: {error}; save the map again, as PGM, PNG or BMP") from error
     if image.dtype not in (np.uint8, np.uint16):
         raise UserError(f"{path}: got pixels of {image.dtype}, expected 8 or 16 bits")
     try:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from imagination.compiled import compiled
 from imagination.errors import UserError
 from imagination.geometry.crop import ego_to_grid
-from imagination.geometry.grid import EgoGrid, Grid
+from imagination.geometry.grid import MAX_CELLS, EgoGrid, Grid
 from imagination.geometry.pose import Pose
 from imagination.mapping.registration import Rule
 
@@ -40,7 +40,7 @@ class Mapper:
         rule: what becomes of cells that were written before.
 
     Raises:
-        UserError: if the resolutions differ, there is no category, or the map would not fit in memory.
+        UserError: if the resolutions differ, there is no category, or the map is too large.
 
     >>> from imagination.mapping.registration import MovingAverage
     >>> ego = EgoGrid(resolution=1.0, cells=3)
@@ -123,7 +123,7 @@ class Mapper:
         """Let the map grow, by whole chunks, until it contains all that a view from `pose` may reach.
 
         Raises:
-            UserError: if it would not fit in memory, or the pose is not finite. The map stays as it was.
+            UserError: if it would be too large, or the pose is not finite. The map stays as it was.
         """
         low, high = _reach(ego_to_grid(self.ego, self.grid, pose), self.ego)
         top, left = (max(0, -int(np.floor(side / CHUNK)) * CHUNK) for side in low)
@@ -191,6 +191,11 @@ def _blank(layers: int, grid: Grid) -> tuple[Float32[np.ndarray, "c h w"], Int32
 def _check_size(layers: int, grid: Grid) -> None:
     needed = grid.rows * grid.columns * (layers * BYTES_PER_CELL + SAVING_BYTES_PER_CELL)
     there = physical_memory()
+    if max(grid.shape) > MAX_CELLS:
+        raise UserError(
+            f"map: got {grid.rows} x {grid.columns} cells, expected at most {MAX_CELLS} a side; "
+            "check the poses, or choose a coarser resolution or a smaller extent"
+        )
     if needed > there:
         raise UserError(
             f"map of {layers} x {grid.rows} x {grid.columns} cells: got {needed / 1e9:.1f} GB, expected "

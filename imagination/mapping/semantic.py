@@ -205,6 +205,13 @@ class SemanticMapper:
         self._mapper = Mapper(grid, self.description.ego, layers, self._rule)
         if self._start is not None:
             layer = files.fit(self._start, grid)
+            known = self._start.grid.to_points(np.argwhere(self._start.layer != UNKNOWN))
+            if lost := np.count_nonzero(~grid.inside(grid.to_cells(known))):
+                warnings.warn(
+                    f"start: {lost} of its {len(known)} known cells lie outside the map of fixed size and are lost; "
+                    "enlarge or move it (extent, centre)",
+                    stacklevel=3,
+                )
             self._mapper.write(0, layer.astype(np.float32) / 100, layer != UNKNOWN)
 
     def _check_intrinsics(self) -> None:

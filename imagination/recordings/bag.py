@@ -11,7 +11,7 @@ import numpy as np
 from imagination.errors import UserError, check_range, require_extra
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
 from imagination.recordings.cameras import mount_of
-from imagination.recordings.recording import BrokenRecordingError, Images, Shot, Stamp
+from imagination.recordings.recording import BrokenRecordingError, Images, Shot
 from imagination.recordings.ros_messages import (
     CAMERA_INFO,
     COMPRESSED,
@@ -23,10 +23,11 @@ from imagination.recordings.ros_messages import (
     colour_of,
     depth_of,
     intrinsics_of,
+    is_rectified,
     stamp_of,
     transform_of,
 )
-from imagination.recordings.trajectory import SECOND, Transforms
+from imagination.recordings.trajectory import SECOND, Stamp, Transforms
 
 NO_COLOUR = ("depth", "infra", "/ir/", "disparity", "confidence", "mask", "label")
 """In the names of image topics that are not colour."""
@@ -56,6 +57,7 @@ class BagRecording:
         depth_scale: units a metre of 16-bit depth.
         max_difference: seconds between a colour and a depth image, at most.
         max_gap: seconds between two transforms over which none is interpolated.
+        rectified: whether images are; see `is_rectified`.
 
     Raises:
         UserError: if the bag cannot be opened, or topics or frames are missing or ambiguous, with those that exist.
@@ -70,6 +72,7 @@ class BagRecording:
         depth_scale: float,
         max_difference: float,
         max_gap: float,
+        rectified: bool | None = None,
     ) -> None:
         self.path = Path(path)
         self.depth_scale = check_range("recording.depth_scale", depth_scale, 1.0, 1e6, "units a metre")
@@ -77,17 +80,24 @@ class BagRecording:
         self.skipped: Counter[str] = Counter()
         self._reader = open_bag(self.path)
         found = Topics(self._reader.connections, topics)
+        self.rectified = rectified
         self.topics = {"colour": found.colour, "depth": found.depth}
         self._infos: dict[str, Any] = {}
+        self._conflicts: dict[str, UserError] = {}
         self.transforms = Transforms(check_range("recording.max_gap", max_gap, 0.0, 3600.0, "s"))
         self._read_poses(found)
         for kind in ("colour", "depth"):
             if kind not in self._infos:
                 raise UserError(f"{self.path}: topic {found.infos[kind]!r} holds no camera_info")
-        self.frame: str = self._infos["colour"].header.frame_id.lstrip("/")
+        self.frame, self._depth_frame = (
+            str(self._infos[kind].header.frame_id).lstrip("/") for kind in ("colour", "depth")
+        )
         if mount is not None:
             base, matrix = mount_of(mount)
             self.transforms.add(base, self.frame, 0, matrix, fixed=True)
+        for child in {*self.transforms.ancestors(self.frame), *self.transforms.ancestors(self._depth_frame)}:
+            if child in self._conflicts:
+                raise self._conflicts[child]
         self.world: str = (world or self.transforms.ancestors(self.frame)[-1]).lstrip("/")
         if self.world == self.frame and not self.transforms.moving:
             raise UserError(f"{self.path}: holds no poses, neither in /tf nor in an odometry topic")
@@ -106,13 +116,13 @@ class BagRecording:
         pairing: Pairing[Any] = Pairing(self.max_difference)
         kinds = {name: kind for kind, name in self.topics.items()}
         for topic, message in self._messages(self.topics.values()):
-            pair = pairing.add(kinds[topic], stamp_of(message), message)
-            if pair is not None:
-                stamp, colour, depth = pair
-                pose = self.transforms.at(self.world, self.frame, stamp)
-                yield Shot(stamp, pose, partial(self._load, stamp, colour, depth))
+            yield from map(self._shot, pairing.add(kinds[topic], stamp_of(message), message))
+        yield from map(self._shot, pairing.rest())
         if pairing.alone:
             self.skipped["image without a partner at its time"] += pairing.alone
+
+    def _shot(self, pair: tuple[Stamp, Any, Any]) -> Shot:
+        return Shot(pair[0], self.transforms.at(self.world, self.frame, pair[0]), partial(self._load, *pair))
 
     def _load(self, stamp: Stamp, colour: Any, depth: Any) -> Images:
         try:
@@ -172,17 +182,21 @@ class BagRecording:
             except UserError:
                 self.skipped["transform that is none"] += 1
                 continue
-            self.transforms.add(entry.header.frame_id, child, stamp, matrix, fixed)
+            try:
+                self.transforms.add(entry.header.frame_id, child, stamp, matrix, fixed)
+            except UserError as error:  # of no importance unless the camera hangs on it
+                self.skipped["transform at odds with those before"] += 1
+                self._conflicts.setdefault(child.lstrip("/"), error)
 
     def _camera(self) -> RgbdCamera:
         colour, depth = (self._intrinsics(kind) for kind in ("colour", "depth"))
-        frame = self._infos["depth"].header.frame_id.lstrip("/")
-        between = self.transforms.between(frame, self.frame) if frame != self.frame else np.eye(4)
+        beside = self._depth_frame != self.frame
+        between = self.transforms.between(self._depth_frame, self.frame) if beside else np.eye(4)
         return RgbdCamera(colour, depth if depth != colour else None, between)
 
     def _intrinsics(self, kind: str) -> Intrinsics:
         try:
-            return intrinsics_of(self._infos[kind])
+            return intrinsics_of(self._infos[kind], is_rectified(self.topics[kind], self.rectified))
         except UserError as error:
             raise UserError(f"{self.path}, {kind}: {error}") from error
 

@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import lz4.frame
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from imagination.recordings.recording import BrokenRecordingError, Stamp
+from imagination.recordings.recording import BrokenRecordingError
+from imagination.recordings.trajectory import Stamp
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -24,7 +25,14 @@ else:
     from backports import zstd
 
 MAX_RECORD = 2**30
-"""Bytes; a longer one is damage."""
+"""Bytes, and of a chunk when it is unpacked; a longer one is damage."""
+
+DECOMPRESSORS: dict[str, Callable[[], Any]] = {
+    "bz2": bz2.BZ2Decompressor,
+    "lz4": lz4.frame.LZ4FrameDecompressor,
+    "zstd": zstd.ZstdDecompressor,
+}
+"""By what a chunk's header says."""
 
 
 class Connection(NamedTuple):
@@ -110,14 +118,15 @@ def read_mcap(path: Path) -> Messages:
         raise cut_off(path, file)
 
 
-def mcap_records(file: File) -> Iterator[tuple[int, bytes]]:
-    """Kind and content of the records that are whole, those in chunks too."""
+def mcap_records(file: File, inside: bool = False) -> Iterator[tuple[int, bytes]]:
+    """Kind and content of the records that are whole, those in chunks too (of which none holds another)."""
     while len(head := file.read(9)) == 9:
         kind, length = struct.unpack("<BQ", head)
         body = file.read(min(length, MAX_RECORD))
-        if kind == 6:  # chunk: two times, size, checksum, compression, size
-            (size,) = struct.unpack_from("<I", body, 28)
-            yield from mcap_records(BytesIO(unpacked(body[32 : 32 + size].decode(), body[40 + size :])))
+        if kind == 6 and not inside:  # chunk: two times, size, checksum, compression, size
+            stated, _, size = struct.unpack_from("<QII", body, 16)
+            content = unpacked(body[32 : 32 + size].decode(), body[40 + size :], stated)
+            yield from mcap_records(BytesIO(content), True)
         elif len(body) == length:
             yield kind, body
         if len(body) < length:
@@ -155,8 +164,10 @@ def ros1_records(file: File, inside: bool = False) -> Iterator[tuple[bool, dict[
         length = int.from_bytes(file.read(4), "little")
         data = file.read(min(length, MAX_RECORD))
         values = fields(header) if length else {}
-        if values.get(b"op") == b"\5":  # a chunk
-            yield from ros1_records(BytesIO(unpacked(values[b"compression"].decode(), data)), True)
+        if values.get(b"op") == b"\5" and not inside:  # a chunk
+            stated = int.from_bytes(values[b"size"], "little")
+            content = unpacked(values[b"compression"].decode(), data, stated)
+            yield from ros1_records(BytesIO(content), True)
         elif len(data) == length:
             yield inside, values, data
         if len(data) < length:
@@ -207,16 +218,26 @@ FORMATS: dict[str, Callable[[Path], Messages]] = {
 """By the names' endings."""
 
 
-def unpacked(compression: str, data: bytes) -> bytes:
-    """What a chunk holds, as far as its bytes go."""
+def unpacked(compression: str, data: bytes, stated: int) -> bytes:
+    """What a chunk holds, as far as its bytes go.
+
+    Args:
+        compression: none, bz2, lz4 or zstd.
+        data: the chunk's bytes.
+        stated: what they unpack to by the chunk's header, bytes.
+
+    Raises:
+        BrokenRecordingError: if they unpack to more.
+    """
     if compression in ("", "none"):
         return data
-    if compression == "bz2":
-        return bz2.BZ2Decompressor().decompress(data)
-    if compression == "lz4":
-        found: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data)
-        return found
-    return zstd.ZstdDecompressor().decompress(data)
+    most = min(stated, MAX_RECORD)
+    found: bytes = DECOMPRESSORS[compression]().decompress(data, max_length=most + 1)
+    if len(found) > most:
+        raise BrokenRecordingError(
+            f"{len(data)} bytes of a chunk unpack to more than the {stated} that it states (at most {MAX_RECORD})"
+        )
+    return found
 
 
 def cut_off(path: Path, file: BufferedReader) -> BrokenRecordingError:

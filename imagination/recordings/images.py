@@ -1,14 +1,14 @@
 """Images as files and recordings hold them, to arrays: colour to RGB, depth to metres."""
 
 import struct
-from io import BytesIO
 from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
-from PIL import Image
 
+from imagination.decoding import decode
+from imagination.errors import UserError
 from imagination.recordings.recording import BrokenRecordingError
 
 MAX_SIDE = 8192
@@ -100,20 +100,10 @@ def to_metres(raw: np.ndarray, scale: float) -> Float32[np.ndarray, "h w"]:
 
 
 def _decode(data: bytes, flags: int, origin: str) -> np.ndarray:
-    """Decode an image whose header states a size that is allowed: a few bytes can unpack to gigabytes."""
     try:
-        with Image.open(BytesIO(data)) as header:
-            size = header.size
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise BrokenRecordingError(f"{origin}: {len(data)} bytes that are no image") from error
-    if max(size) > MAX_SIDE:
-        raise BrokenRecordingError(
-            f"{origin}: got {size[0]} x {size[1]} pixels, expected at most {MAX_SIDE} a side"
-        )
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    if image is None:
-        raise BrokenRecordingError(f"{origin}: {len(data)} bytes that are no image")
-    return image
+        return decode(data, flags, MAX_SIDE)
+    except UserError as error:
+        raise BrokenRecordingError(f"{origin}: {error}") from error
 
 
 def _bytes(path: Path) -> bytes:

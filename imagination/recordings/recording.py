@@ -10,9 +10,7 @@ from jaxtyping import Float32, Float64, UInt8
 
 from imagination.errors import UserError
 from imagination.geometry.rgbd import RgbdCamera
-
-Stamp = int
-"""Nanoseconds."""
+from imagination.recordings.trajectory import Jumps, Stamp
 
 
 class Images(NamedTuple):
@@ -82,13 +80,16 @@ class Frames:
 
     Attributes:
         recording: they come from.
+        max_speed: metres a second at which the camera may move; None: any. See `Jumps`.
         mapped: frames given and worked up so far.
     """
 
     recording: Recording
+    max_speed: float | None = None
     mapped: int = 0
     _skipped: Counter[str] = field(default_factory=Counter)
     _refused: bool = False
+    _jump: str = ""
     _holes: int = 0
     _pixels: int = 0
 
@@ -104,6 +105,7 @@ class Frames:
 
     def __iter__(self) -> Iterator[Frame]:
         last: Stamp | None = None
+        jumps = Jumps(self.max_speed)
         for shot in self.recording.shots():
             if shot.camera_to_world is None:
                 self._skipped["no pose at its time"] += 1
@@ -111,6 +113,12 @@ class Frames:
                 self._skipped["repeated time stamp" if shot.stamp == last else "time stamp out of order"] += 1
             else:
                 last = shot.stamp
+                try:
+                    jumps.check(shot.stamp, shot.camera_to_world)
+                except UserError as error:
+                    self._skipped["jump of the pose"] += 1
+                    self._jump = self._jump or str(error)
+                    continue
                 images = shot.load()
                 self._refused = False
                 self._holes += images.depth.size - int(np.count_nonzero(images.depth))
@@ -124,4 +132,6 @@ class Frames:
         if self._pixels:
             lines.append(f"    {self._holes / self._pixels:.1%} of their depth pixels are holes")
         lines += [f"    {count} x {reason}" for reason, count in self.skipped.most_common()]
+        if self._jump:
+            lines.append(f"    the first jump: {self._jump}")
         return "\n".join(lines)

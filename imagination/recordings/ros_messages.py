@@ -3,7 +3,10 @@ rclpy share it: all give objects with the fields of the message definitions.
 """
 
 import sys
-from collections import deque
+from bisect import insort
+from collections.abc import Iterator
+from math import inf
+from operator import itemgetter
 from typing import Any, Generic, TypeVar
 
 import cv2
@@ -19,8 +22,8 @@ from imagination.recordings.images import (
     decode_depth,
     to_metres,
 )
-from imagination.recordings.recording import BrokenRecordingError, Stamp
-from imagination.recordings.trajectory import SECOND, matrix_of
+from imagination.recordings.recording import BrokenRecordingError
+from imagination.recordings.trajectory import SECOND, Stamp, matrix_of
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
@@ -97,20 +100,33 @@ def depth_of(message: Any, scale: float = MILLIMETRES) -> Float32[np.ndarray, "h
     return to_metres(raw, 1.0 if np.issubdtype(raw.dtype, np.floating) else scale)
 
 
-def intrinsics_of(message: Any) -> Intrinsics:
+def intrinsics_of(message: Any, rectified: bool = False) -> Intrinsics:
     """Intrinsics in a CameraInfo; ROS 1 names its fields in capitals.
+
+    Args:
+        message: the CameraInfo.
+        rectified: of rectified images, which have those of the matrix P and no distortion (sensor_msgs/CameraInfo).
 
     Raises:
         UserError: if they are none, as those of a camera that was never calibrated, or its model is not a pinhole.
     """
+    size = int(message.width), int(message.height)
+    p = [float(number) for number in (message.p if hasattr(message, "p") else message.P)]
+    if rectified and p[0]:  # some drivers leave it empty
+        return Intrinsics(*size, p[0], p[5], p[2], p[6])
     if message.distortion_model not in ("", "plumb_bob", "rational_polynomial"):
         raise UserError(
             f"camera_info: got distortion_model {message.distortion_model!r}, expected plumb_bob or "
-            "rational_polynomial; rectify the images before"
+            "rational_polynomial; rectify the images before, and say so (rectified=true)"
         )
     k = [float(number) for number in (message.k if hasattr(message, "k") else message.K)]
     d = tuple(float(number) for number in (message.d if hasattr(message, "d") else message.D))
-    return Intrinsics(int(message.width), int(message.height), k[0], k[4], k[2], k[5], d if any(d) else ())
+    return Intrinsics(*size, k[0], k[4], k[2], k[5], d if any(d) else ())
+
+
+def is_rectified(topic: str, said: bool | None) -> bool:
+    """Whether a topic's images are rectified: as the user said, else by its name, as image_proc gives it."""
+    return "image_rect" in topic if said is None else said
 
 
 def transform_of(transform: Any) -> Float64[np.ndarray, "4 4"]:
@@ -139,44 +155,62 @@ def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> np.ndarray:
 
 
 class Pairing(Generic[T]):
-    """Colour and depth that belong together, of messages that come one by one.
+    """Colour and depth that belong together, of messages that come one by one: each the nearest in time of the other.
+
+    A pair of different times waits until nothing nearer can come.
 
     Args:
         tolerance: seconds between the two, at most.
         most: of each kind that wait for a partner.
-
     """
 
     def __init__(self, tolerance: float, most: int = 30) -> None:
         self.tolerance = round(tolerance * SECOND)
         self.most = most
         self._given_up = 0
-        self._waiting: dict[str, deque[tuple[Stamp, T]]] = {"colour": deque(), "depth": deque()}
+        self._waiting: dict[str, list[tuple[Stamp, T]]] = {"colour": [], "depth": []}  # in order of time
+        self._newest: dict[str, float] = {"colour": -inf, "depth": -inf}
 
     @property
     def alone(self) -> int:
         """Messages that have found no partner."""
         return self._given_up + sum(map(len, self._waiting.values()))
 
-    def add(self, kind: str, stamp: Stamp, item: T) -> tuple[Stamp, T, T] | None:
-        """Add a message of the kind `colour` or `depth`; the pair that it completes, as (stamp, colour, depth).
+    def add(self, kind: str, stamp: Stamp, item: T) -> list[tuple[Stamp, T, T]]:
+        """Add a message of the kind `colour` or `depth`; the pairs that are clear now, as (stamp, colour, depth)."""
+        insort(self._waiting[kind], (stamp, item), key=itemgetter(0))
+        self._newest[kind] = stamp
+        found = list(self._pairs())
+        if len(self._waiting[kind]) > self.most:
+            self._waiting[kind].pop(0)
+            self._given_up += 1
+        return found
 
-        What waited longer than its partner is given up.
-        """
-        mine, others = self._waiting[kind], self._waiting["depth" if kind == "colour" else "colour"]
-        near = [(abs(other - stamp), index) for index, (other, _) in enumerate(others)]
-        distance, index = min(near, default=(self.tolerance + 1, 0))
-        if distance > self.tolerance:
-            mine.append((stamp, item))
-            if len(mine) > self.most:
-                mine.popleft()
+    def rest(self) -> list[tuple[Stamp, T, T]]:
+        """The pairs that are left where no message comes any more."""
+        self._newest = {"colour": inf, "depth": inf}
+        return list(self._pairs())
+
+    def _pairs(self) -> Iterator[tuple[Stamp, T, T]]:
+        while any(self._waiting.values()):
+            first, other = sorted(self._waiting, key=self._next)
+            stamp, partner = (
+                self._next(first),
+                self._next(other),
+            )  # to the oldest, the other's oldest is nearest
+            if partner == inf and self._newest[other] <= stamp + self.tolerance:
+                return
+            apart, later = partner - stamp, self._next(first, 1)
+            if apart > self.tolerance or abs(later - partner) < apart:
+                self._waiting[first].pop(0)
                 self._given_up += 1
-            return None
-        partner_stamp, partner = others[index]
-        for _ in range(index + 1):
-            others.popleft()
-        self._given_up += index + len(mine)
-        mine.clear()
-        if kind == "colour":
-            return stamp, item, partner
-        return partner_stamp, partner, item
+            elif apart and later == inf and self._newest[first] < partner + apart:
+                return
+            else:
+                (time, colour), (_, depth) = (self._waiting[kind].pop(0) for kind in ("colour", "depth"))
+                yield time, colour, depth
+
+    def _next(self, kind: str, index: int = 0) -> float:
+        """Time of one that waits; infinity if there is none."""
+        waiting = self._waiting[kind]
+        return waiting[index][0] if index < len(waiting) else inf

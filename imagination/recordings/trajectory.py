@@ -7,11 +7,19 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Float64
 
-from imagination.errors import UserError
-from imagination.recordings.recording import Stamp
+from imagination.errors import UserError, check_range
+
+Stamp = int
+"""Nanoseconds."""
 
 SECOND = 1_000_000_000
 """Nanoseconds."""
+
+SLACK = 0.5
+"""Metres by which poses may differ at any speed: a loop was closed."""
+
+MOST_FRAMES = 10_000
+"""In a tree of frames: trackers name new ones for ever."""
 
 JUMP = 2.0
 """Seconds by which live messages may be late, or their clock pause; beyond, it was set anew."""
@@ -134,6 +142,56 @@ class Trajectory:
         return interpolate(self._matrices[after - 1], self._matrices[after], (stamp - begin) / (end - begin))
 
 
+Place = tuple[Stamp, Float64[np.ndarray, " 3"]]
+"""When, and where."""
+
+
+class Jumps:
+    """Tells poses that no robot has reached: of lost odometry, of a stray reading.
+
+    The first beyond a jump is not believed; one that can be reached from there is: the robot was relocalised.
+
+    Args:
+        max_speed: metres a second; None believes every pose.
+
+    Raises:
+        UserError: if it is out of range.
+    """
+
+    def __init__(self, max_speed: float | None) -> None:
+        self.max_speed = (
+            None if max_speed is None else check_range("max_speed", max_speed, 0.0, 1e4, "m/s", open_low=True)
+        )
+        self._last: Place | None = None
+        self._stray: Place | None = None
+
+    def check(self, stamp: Stamp, pose: Float64[np.ndarray, "4 4"]) -> None:
+        """Take the next pose in.
+
+        Raises:
+            UserError: if it is not to be believed.
+        """
+        here = stamp, pose[:3, 3]
+        if self._last is None or self.max_speed is None:
+            self._last = here
+            return
+        before = self._last
+        reached = [_apart(one, here) for one in (before, self._stray) if one is not None]
+        if all(metres > SLACK + self.max_speed * seconds for metres, seconds in reached):
+            self._stray = here
+            (x, y, z), (u, v, w) = before[1].tolist(), here[1].tolist()
+            raise UserError(
+                f"pose: got ({u:.2f}, {v:.2f}, {w:.2f}) m {reached[0][1]:.2f} s after ({x:.2f}, {y:.2f}, {z:.2f}), "
+                f"expected at most {self.max_speed} m/s; if the robot was there, raise max_speed (null: any)"
+            )
+        self._last, self._stray = here, None
+
+
+def _apart(one: Place, other: Place) -> tuple[float, float]:
+    """Metres and seconds between two poses."""
+    return float(np.linalg.norm(other[1] - one[1])), abs(other[0] - one[0]) / SECOND
+
+
 class Transforms:
     """A tree of frames, as ROS' tf: each knows where it is in its parent, at any time.
 
@@ -159,8 +217,8 @@ class Transforms:
         """Say where `child` is in `parent` at a time, or, if `fixed`, at all times.
 
         Raises:
-            UserError: if the child has another parent already, would be its own ancestor, or a live time is far from
-                the newest (see `Trajectory.add`).
+            UserError: if the child has another parent already, would be its own ancestor, there are too many frames,
+                or a live time is far from the newest (see `Trajectory.add`).
         """
         parent, child = parent.lstrip("/"), child.lstrip("/")
         if self._parents.get(child, parent) != parent:
@@ -170,6 +228,8 @@ class Transforms:
             )
         if child == parent or child in self.ancestors(parent):
             raise UserError(f"tf: frame {child!r} is its own ancestor")
+        if child not in self._parents and len(self._parents) == MOST_FRAMES:
+            raise UserError(f"tf: got frame {child!r} beside {MOST_FRAMES} others, expected at most as many")
         self._parents[child] = parent
         if fixed:
             self._fixed[child] = matrix

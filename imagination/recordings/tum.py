@@ -10,8 +10,8 @@ from typing import NamedTuple
 from imagination.errors import UserError, check_range
 from imagination.geometry.rgbd import RgbdCamera
 from imagination.recordings.images import read_colour, read_depth
-from imagination.recordings.recording import BrokenRecordingError, Images, Shot, Stamp
-from imagination.recordings.trajectory import SECOND, Trajectory, matrix_of
+from imagination.recordings.recording import BrokenRecordingError, Images, Shot
+from imagination.recordings.trajectory import SECOND, Stamp, Trajectory, matrix_of
 
 
 class Entry(NamedTuple):

@@ -1,6 +1,6 @@
 """A short film of the mapping: colour, depth, projection, imagination and the growing map side by side."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from io import BytesIO
 from pathlib import Path
 
@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
+from PIL.GifImagePlugin import getdata, getheader
 
 from imagination.errors import UserError, check_choice, check_range
 from imagination.geometry.grid import Grid
@@ -15,6 +16,7 @@ from imagination.geometry.pose import Pose
 from imagination.mapping.maps import Maps
 from imagination.mapping.pictures import FREE_COLOUR, OCCUPIED_COLOUR, UNKNOWN_COLOUR, draw_map, paint
 from imagination.mapping.semantic import SemanticMapper, Update
+from imagination.runs import replacing
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -72,20 +74,43 @@ class Preview:
         """
         if not self._pictures:
             return
-        pictures = [np.array(Image.open(BytesIO(data))) for data in self._pictures]
-        if self.format == "gif":
-            first, *others = map(Image.fromarray, pictures)
-            first.save(
-                self._file, save_all=True, append_images=others, duration=round(1000 / self.rate), loop=0
-            )
-            return
-        height, width = pictures[0].shape[:2]
-        writer = cv2.VideoWriter(str(self._file), cv2.VideoWriter.fourcc(*"mp4v"), self.rate, (width, height))
-        if not writer.isOpened():
-            raise UserError(f"{self._file}: cannot be written as MP4 by this OpenCV; use viewer.format=gif")
-        for picture in pictures:
-            writer.write(picture[..., ::-1])
-        writer.release()
+        pictures = (Image.open(BytesIO(data)) for data in self._pictures)  # one at a time: a film may be long
+        with replacing(self._file) as temporary:
+            if self.format == "gif":
+                write_gif(temporary, pictures, self.rate)
+                return
+            written = write_mp4(temporary, pictures, self.rate)
+            if written < len(self._pictures):
+                raise UserError(
+                    f"{self._file}: got {written} of {len(self._pictures)} frames, expected all; free some space or "
+                    "use viewer.format=gif, if this OpenCV writes no MP4"
+                )
+
+
+def write_gif(path: Path, pictures: Iterable[Image.Image], rate: float) -> None:
+    """Write a film frame by frame; Pillow's own save keeps all of them until the end."""
+    with open(path, "wb") as file:
+        for number, picture in enumerate(pictures):
+            indexed = picture.convert("P", palette=Image.Palette.ADAPTIVE)
+            if number == 0:
+                file.writelines(getheader(indexed, info={"loop": 0, "duration": 1})[0])
+            file.writelines(getdata(indexed, duration=round(1000 / rate), include_color_table=True))
+        file.write(b";")
+
+
+def write_mp4(path: Path, pictures: Iterable[Image.Image], rate: float) -> int:
+    """Write a film; how many frames can be read from it then, since OpenCV tells no failure."""
+    writer = cv2.VideoWriter()
+    for number, picture in enumerate(pictures):
+        if number == 0:
+            writer.open(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, picture.size)
+        writer.write(np.asarray(picture)[..., ::-1])
+    writer.release()
+    film, count = cv2.VideoCapture(str(path)), 0
+    while film.grab():
+        count += 1
+    film.release()
+    return count
 
 
 def draw_update(

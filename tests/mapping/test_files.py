@@ -1,6 +1,8 @@
 """Map files, parsed by an independent reader: PyYAML and Pillow after nav2's rules (nav2_map_server, map_io.cpp)."""
 
 import json
+import struct
+import zlib
 from contextlib import suppress
 from pathlib import Path
 
@@ -164,13 +166,37 @@ def test_broken_maps_are_refused(tmp_path: Path, change: dict[str, object], told
         files.load_layer(path)
 
 
+def png_header(side: int) -> bytes:
+    header = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+    data = b"IDAT" + zlib.compress(b"")
+    parts = [
+        struct.pack(">I", len(part) - 4) + part + struct.pack(">I", zlib.crc32(part))
+        for part in (header, data)
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+@pytest.mark.parametrize(
+    ("image", "size"), [(b"P5 2000000 1 255\n", "2000000 x 1"), (png_header(30_000), "30000 x 30000")]
+)
+def test_a_small_file_that_unpacks_to_a_large_map_is_refused(tmp_path: Path, image: bytes, size: str) -> None:
+    """By its header: before, OpenCV broke at the first and reserved a gigabyte for the second."""
+    files.save_layer(tmp_path / "map.yaml", GRID, np.zeros(GRID.shape, np.int8), "trinary")
+    (tmp_path / "map.pgm").write_bytes(image)
+    with pytest.raises(UserError, match=f"map.pgm: got {size} pixels, expected at most 20001 a side"):
+        files.load_layer(tmp_path / "map.yaml")
+
+
 def test_broken_files_are_refused(tmp_path: Path) -> None:
     files.save_maps(tmp_path, some_maps(), [(200, 0, 0), (0, 0, 200)])
     with pytest.raises(UserError, match="there is no such file"):
         files.load_layer(tmp_path / "nothing.yaml")
-    (tmp_path / "map.pgm").write_bytes(b"P5\n60 40\n255\n")
-    with pytest.raises(UserError, match="no image that can be read"):
-        files.load_layer(tmp_path / "map.yaml")
+    for image in (b"P5\n60 40\n255\n", b"", b"nothing"):
+        (tmp_path / "map.pgm").write_bytes(image)
+        with pytest.raises(
+            UserError, match=f"map.pgm: {len(image)} bytes that are no image; save the map again"
+        ):
+            files.load_layer(tmp_path / "map.yaml")
     (tmp_path / "map.yaml").write_text("[1, 2")
     with pytest.raises(UserError, match="cannot be read"):
         files.load_layer(tmp_path / "map.yaml")

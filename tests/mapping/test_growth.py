@@ -42,8 +42,12 @@ def test_a_grown_map_is_the_large_one() -> None:
 
 def test_growing_beyond_memory_is_refused_and_changes_nothing() -> None:
     mapper = Mapper(Grid(0.1, CHUNK, CHUNK, (0.0, 0.0)), EGO, ["chair"], MovingAverage(0.9))
+    with pytest.raises(
+        UserError, match="expected at most 20001 a side"
+    ):  # which could be saved and not be loaded
+        mapper.cover(Pose(2000.0, 0.0, 0.0))
     with pytest.raises(UserError, match="GB, expected at most this machine's"):
-        mapper.cover(Pose(1e6, 1e6, 0.0))
+        Mapper(Grid(0.1, 20_001, 20_001, (0.0, 0.0)), EGO, [f"c{n}" for n in range(40)], MovingAverage(0.9))
     with pytest.raises(UserError, match="pose: got"):
         mapper.cover(Pose(float("nan"), 0.0, 0.0))
     assert mapper.grid.shape == mapper.probabilities.shape[1:] == (CHUNK, CHUNK)

@@ -133,6 +133,14 @@ def test_it_starts_from_another_robots_map() -> None:
     assert (mapper.maps.occupancy_layer() == 0).sum() > before + 100
 
 
+def test_what_a_map_of_fixed_size_cannot_start_from_is_told() -> None:
+    layer = np.zeros((60, 60), np.int8)
+    layer[:10] = -1
+    start = LoadedLayer(Grid(0.12, 60, 60, (0.0, 0.0)), layer)
+    with pytest.warns(UserWarning, match="start: 1500 of its 3000 known cells lie outside the map of fixed size"):
+        SemanticMapper(Toy(), start=start, grid=Grid(0.12, 60, 30, (0.0, 0.0)))
+
+
 def test_cameras_too_far_from_the_units_are_refused() -> None:
     narrow = RgbdCamera.of(Camera.from_degrees(48, 48, 35.0, 1.25))
     with pytest.raises(

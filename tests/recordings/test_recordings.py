@@ -1,6 +1,9 @@
 """Every kind of recording of one drive gives the same frames; what is wrong in one is skipped, counted or refused."""
 
+import struct
+import zlib
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -265,6 +268,18 @@ def test_frames_out_of_order_are_skipped(tmp_path: Path) -> None:
     assert frames.skipped == {"time stamp out of order": 1, "repeated time stamp": 1}
 
 
+def test_a_stray_pose_costs_its_frame(tmp_path: Path) -> None:
+    drive = taken()
+    drive[2] = drive[2]._replace(pose=Pose(40.0, 0.0, 0.0))
+    record_folder(tmp_path / "plain", drive, CAMERA)
+    frames = Frames(FolderRecording(str(tmp_path / "plain")), max_speed=5.0)
+    assert [(frame.stamp - BEGIN) // TICK for frame in frames] == [0, 1, 3, 4, 5]
+    assert frames.skipped == {"jump of the pose": 1}
+    assert (
+        "the first jump: pose: got (40.00, 0.00, 1.10) m 0.10 s after (0.10, -0.20, 1.10)" in frames.summary()
+    )
+
+
 def test_rows_that_are_damaged(tmp_path: Path) -> None:
     """A pose that is none costs its frame, as in a TUM folder; what cannot be read ends the recording."""
     folder = tmp_path / "plain"
@@ -464,9 +479,49 @@ def test_a_chunk_that_was_cut_off_unpacks_as_far_as_it_goes(compression: str) ->
     pack = {"none": bytes, "bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd.compress}[compression]
     data = np.random.default_rng(0).integers(0, 99, 4_000_000, dtype=np.uint8).tobytes()
     packed = pack(data)
-    assert unpacked(compression, packed) == data
-    part = unpacked(compression, packed[: len(packed) * 7 // 10])
+    assert unpacked(compression, packed, len(data)) == data
+    part = unpacked(compression, packed[: len(packed) * 7 // 10], len(data))
     assert 0.4 * len(data) < len(part) < 0.8 * len(data) and data.startswith(part)
+
+
+@pytest.mark.parametrize("compression", ["bz2", "lz4", "zstd"])
+def test_a_chunk_unpacks_to_no_more_than_it_states(compression: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither of MCAP nor of ROS 1, and none that lies in another."""
+    import bz2
+
+    import lz4.frame
+
+    from imagination.recordings import cut_bags
+
+    pack = {"bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": cut_bags.zstd.compress}[compression]
+
+    def sized(data: bytes) -> bytes:
+        return struct.pack("<I", len(data)) + data
+
+    def mcap_chunk(content: bytes, stated: int) -> bytes:
+        data = pack(content)
+        body = struct.pack("<QQQI", 0, 0, stated, 0) + sized(compression.encode())
+        body += struct.pack("<Q", len(data)) + data
+        return struct.pack("<BQ", 6, len(body)) + body
+
+    def ros1_chunk(content: bytes, stated: int) -> bytes:
+        values = (b"op=\5", b"compression=" + compression.encode(), b"size=" + struct.pack("<I", stated))
+        return sized(b"".join(map(sized, values))) + sized(pack(content))
+
+    message = bytes(1_000_000)
+    for chunk, records, inner in (
+        (mcap_chunk, cut_bags.mcap_records, struct.pack("<BQ", 5, len(message)) + message),
+        (ros1_chunk, cut_bags.ros1_records, sized(sized(b"op=\2")) + sized(message)),
+    ):
+        whole = chunk(inner, len(inner))
+        assert [record[-1] for record in records(BytesIO(whole))] == [message]
+        with pytest.raises(BrokenRecordingError, match="unpack to more than the 999 that it states"):
+            list(records(BytesIO(chunk(inner, 999))))
+        assert [record[-1] for record in records(BytesIO(chunk(whole, len(whole))))] != [message]
+        monkeypatch.setattr(cut_bags, "MAX_RECORD", len(whole))
+        with pytest.raises(BrokenRecordingError, match=f"at most {len(whole)}"):
+            list(records(BytesIO(whole)))
+        monkeypatch.undo()
 
 
 def test_one_damaged_transform_costs_only_itself(tmp_path: Path) -> None:
@@ -579,7 +634,10 @@ def test_a_small_file_that_unpacks_to_a_large_image_is_refused() -> None:
 
     data = bytearray(cv2.imencode(".png", np.zeros((9, 9, 3), np.uint8))[1].tobytes())
     data[16:24] = (60_000).to_bytes(4, "big") * 2
-    with pytest.raises(BrokenRecordingError, match="expected at most 8192 a side|are no image"):
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    with pytest.raises(
+        BrokenRecordingError, match="x: got 60000 x 60000 pixels, expected at most 8192 a side"
+    ):
         decode_colour(bytes(data), "x")
 
 

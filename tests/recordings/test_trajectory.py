@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from imagination.errors import UserError
-from imagination.recordings.trajectory import Trajectory, Transforms, interpolate, matrix_of
+from imagination.recordings.trajectory import SECOND, Jumps, Trajectory, Transforms, interpolate, matrix_of
 
 angles = st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3)
 
@@ -127,3 +127,38 @@ def test_a_tree_of_frames() -> None:
         transforms.between("depth", "map")
     with pytest.raises(UserError, match="nothing joins"):
         transforms.between("depth", "lidar")
+
+
+def test_a_stray_pose_is_left_out_and_a_relocalised_robot_believed() -> None:
+    jumps = Jumps(2.0)
+
+    def believed(places: list[float]) -> list[bool]:
+        found = []
+        for number, x in enumerate(places):
+            try:
+                jumps.check(number * SECOND // 10, shifted(x))
+                found.append(True)
+            except UserError as error:
+                assert "expected at most 2.0 m/s" in str(error)
+                found.append(False)
+        return found
+
+    assert believed([0.0, 0.1, 9.0, 0.3, 0.4]) == [True, True, False, True, True]
+    jumps = Jumps(2.0)
+    assert believed([0.0, 9.0, 9.1, 9.2]) == [True, False, True, True]
+    jumps = Jumps(2.0)
+    assert believed([0.0, 9.0, -9.0, 0.2]) == [True, False, False, True]
+    jumps = Jumps(None)
+    assert believed([0.0, 9.0, -9.0]) == [True, True, True]
+    with pytest.raises(UserError, match="max_speed: got 0"):
+        Jumps(0.0)
+
+
+def test_frames_are_not_named_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imagination.recordings.trajectory.MOST_FRAMES", 3)
+    transforms = Transforms(0.5)
+    for number in range(3):
+        transforms.add("map", f"track_{number}", 0, np.eye(4), fixed=False)
+    with pytest.raises(UserError, match="'track_3' beside 3 others"):
+        transforms.add("map", "track_3", 0, np.eye(4), fixed=False)
+    transforms.add("map", "track_0", SECOND, np.eye(4), fixed=False)

@@ -1,6 +1,8 @@
 """The mapping node without any transport: messages in, maps out, what is bad refused one by one."""
 
+import re
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -8,12 +10,15 @@ import numpy as np
 import pytest
 
 from imagination.errors import UserError
+from imagination.geometry.grid import Grid
+from imagination.geometry.pose import Pose
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
 from imagination.mapping.module import Observation
 from imagination.mapping.semantic import SemanticMapper
+from imagination.recordings.trajectory import SECOND
 from tests.conftest import ROOT
 from tests.modules import CAMERA, Toy
-from tests.robot import COLOUR, DEPTH, ROS2, Messages, Taken, corridor_path, drive, spoken
+from tests.robot import COLOUR, DEPTH, ROS2, TICK, Messages, Taken, corridor_path, drive, spoken
 from tests.rooms import tiny_room
 
 sys.path.append(str(ROOT / "plugins" / "ros"))
@@ -298,3 +303,80 @@ def test_other_distributions(frames: list[Taken]) -> None:
         assert len(again.markers) == 1 + 2 * len(found) and again.markers[1].header.stamp.sec == 5
     with pytest.raises(UserError, match="transport.distribution: got 'ros3'"):
         Codec("ros3", 10)
+
+
+def late(frames: list[Taken], rate: int, seconds: float) -> list[tuple[int, str, Any]]:
+    """What a robot says of the first two seconds, standing, whose poses come so much later than its images."""
+    said: list[tuple[int, str, Any]] = []
+    for number in range(2 * rate):
+        taken = frames[0]._replace(stamp=frames[0].stamp + number * SECOND // rate)
+        for topic, _, message in spoken(taken, CAMERA, MESSAGES, not number):
+            wait = round(seconds * SECOND) if topic == "/tf" else 0
+            said.append((taken.stamp + wait, ROLES[topic], message))
+    return sorted(said, key=lambda each: each[0])
+
+
+@pytest.mark.parametrize("rate", [30, 60])
+def test_poses_that_are_always_late_map_all_the_same(
+    frames: list[Taken], rate: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr("imagination_ros.node.time.monotonic", lambda: now[0])
+    node, mapped = make_node(Listener(), period=100.0), 0
+    for arrives, role, message in late(frames, rate, 0.4):
+        now[0] = (arrives - frames[0].stamp) / SECOND
+        node.receive(role, message)
+        mapped += role == "tf" and node.step(0.0)
+    assert mapped == node.counts["mapped"] >= 4  # one each time that the oldest has its pose, at least
+
+
+def test_a_transform_that_is_none_costs_no_other(frames: list[Taken]) -> None:
+    """robot_state_publisher sends many at once: of a joint without a number, of what a gripper took."""
+    node = make_node(Listener())
+    for number, taken in enumerate(frames[:3]):
+        for topic, _, message in spoken(taken, CAMERA, MESSAGES, not number):
+            if topic == "/tf":
+                broken = MESSAGES.transform(taken.stamp, "base_link", "wheel", np.eye(4)).transforms[0]
+                broken.transform.rotation.w = float("nan")
+                parent = ("shelf", "gripper", "gripper")[number]
+                taken_up = MESSAGES.transform(taken.stamp, parent, "cup", np.eye(4)).transforms[0]
+                message.transforms = [broken, taken_up, *message.transforms]
+            node.receive(ROLES[topic], message)
+        assert node.step(1.0)
+    assert node.counts == {"mapped": 3, "refused: tf": 6 + 4}
+
+
+def test_a_stray_pose_is_not_mapped(frames: list[Taken]) -> None:
+    node = make_node(Listener(), max_speed=5.0)
+    drive = [frames[0]._replace(stamp=frames[0].stamp + number * TICK) for number in range(4)]
+    drive[2] = drive[2]._replace(pose=Pose(40.0, 0.0, 0.0))
+    assert [tell(node, taken, not n) or node.step(1.0) for n, taken in enumerate(drive)] == [
+        True,
+        True,
+        False,
+        True,
+    ]
+    assert node.counts == {"mapped": 3, "refused: jump of the pose": 1}
+
+
+def test_the_end_of_a_drive_is_published_too(frames: list[Taken]) -> None:
+    listener = Listener()
+    node = make_node(listener, period=0.2)
+    for number, taken in enumerate(frames[:2]):
+        tell(node, taken, not number)
+        assert node.step(1.0)
+    assert len(listener.heard["occupancy"]) == 1  # the second came too soon
+    time.sleep(0.2)
+    assert not node.step(0.0) and len(listener.heard["occupancy"]) == 2
+    time.sleep(0.2)
+    assert not node.step(0.0) and len(listener.heard["occupancy"]) == 2  # nothing new
+
+
+def test_what_a_map_of_fixed_size_loses_is_told(frames: list[Taken]) -> None:
+    def make_small(camera: RgbdCamera) -> SemanticMapper:
+        return SemanticMapper(Toy("chair", "bed"), camera, grid=Grid.centred(1.2, 0.12))
+
+    node = MappingNode(make_small, Listener().publish, Listener().codec, "map")
+    tell(node, frames[0])
+    assert node.step(1.0)
+    assert re.search(r"\d+ cells outside the map of fixed size are lost", node.summary())

@@ -1,12 +1,15 @@
 """`imagination.serve` and a robot in another process, with Zenoh between them."""
 
+import json
 import os
 import signal
 import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +33,13 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
+
+
+def wait(arrived: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20
+    while not arrived():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def test_a_robot_in_another_process(tmp_path: Path, unit_file: Path) -> None:
@@ -107,6 +117,58 @@ def test_what_is_no_endpoint_is_one_message(listen: object) -> None:
     transport = ZenohTransport("ros2_humble", listen, [], 1000)  # type: ignore[arg-type]
     with pytest.raises(UserError, match="server.transport.listen.*tcp/127.0.0.1:7447"):
         transport.open()
+
+
+def test_messages_that_are_too_large() -> None:
+    """Somewhat: told by their size, uncopied; by far: dropped by Zenoh, where they come over the network."""
+    import zenoh
+
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    transport = ZenohTransport("ros2_humble", [endpoint], [], 100_000)
+    transport.open()
+    heard: list[object] = []
+    transport.subscribe("/words", "std_msgs/msg/String", False, heard.append)
+    config = zenoh.Config()
+    for key, value in (
+        ("mode", "peer"),
+        ("listen/endpoints", []),
+        ("connect/endpoints", [endpoint]),
+        ("scouting/multicast/enabled", False),
+        ("transport/shared_memory/enabled", False),
+    ):
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config) as session:
+        speaker = session.declare_publisher("words", congestion_control=zenoh.CongestionControl.BLOCK)
+        wait(lambda: speaker.matching_status.matching)
+        for size in (200_000, 500_000):
+            speaker.put(bytes(size))
+        speaker.put(transport.codec.encode(ROS2.types["std_msgs/msg/String"]("words"), "std_msgs/msg/String"))
+        wait(lambda: len(heard) > 1)
+    transport.close()
+    refused, words = heard
+    assert "got 200000 bytes, expected at most 100000" in str(refused)
+    assert words.data == "words"  # type: ignore[attr-defined]
+
+
+def test_a_message_is_not_copied_before_its_size_is_known() -> None:
+    class Payload:
+        def __len__(self) -> int:
+            return 1001
+
+    def declare(key: str, handle: Callable[[object], None]) -> None:
+        handle(SimpleNamespace(payload=Payload()))
+
+    transport = ZenohTransport("ros2_humble", [], [], 1000)
+    transport._session = SimpleNamespace(declare_subscriber=declare)
+    heard: list[object] = []
+    transport.subscribe("/words", "std_msgs/msg/String", False, heard.append)
+    assert "got 1001 bytes, expected at most 1000" in str(heard[0])
+
+
+@pytest.mark.parametrize("most", [0, 2**31])
+def test_a_largest_size_that_is_none_is_refused(most: int) -> None:
+    with pytest.raises(UserError, match="server.transport.max_bytes: got"):
+        ZenohTransport("ros2_humble", [], [], most)
 
 
 def test_without_a_plugin_it_says_what_to_put_where(

@@ -1,4 +1,6 @@
+import resource
 import sys
+import tracemalloc
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import MagicMock
@@ -40,6 +42,29 @@ def test_a_film_as_gif_is_thinned_where_it_is_long(tmp_path: Path) -> None:
     play(Preview("gif", most=4), tmp_path, rounds=3)
     with Image.open(tmp_path / "preview.gif") as film:
         assert 2 <= film.n_frames <= 5 and film.size == (960, 480)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("format", ["gif", "mp4"])
+def test_a_film_is_unpacked_frame_by_frame(tmp_path: Path, format: str) -> None:
+    viewer = Preview(format)
+    play(viewer, tmp_path, rounds=4)
+    tracemalloc.start()
+    viewer.close()
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 6 * 960 * 480 * 3  # there are twelve
+
+
+@pytest.mark.parametrize("format", ["gif", "mp4"])
+def test_a_full_disk_is_told_and_leaves_no_film(tmp_path: Path, format: str) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        with pytest.raises(UserError, match=rf"preview.{format}: .*free some space"):
+            play(Preview(format), tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_first_frame_without_a_return_shows_an_empty_map(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from imagination.recordings.ros_messages import (
     stamp_of,
     transform_of,
 )
-from imagination.recordings.trajectory import JUMP, SECOND, Transforms
+from imagination.recordings.trajectory import JUMP, SECOND, Jumps, Transforms
 from imagination_ros.codec import GRID, MARKERS, Codec
 
 log = logging.getLogger(__name__)
@@ -35,8 +35,8 @@ MakeMapper = Callable[[RgbdCamera], SemanticMapper]
 HISTORY = 30.0
 """Seconds of transforms that are kept."""
 
-MOST_PENDING = 8
-"""Frames that wait for their pose."""
+MOST_PENDING = 32
+"""Frames that wait for their pose: those of a second at the usual rates."""
 
 
 class Pending(NamedTuple):
@@ -66,6 +66,8 @@ class MappingNode:
         depth_scale: units a metre of 16-bit depth.
         max_difference: seconds between a colour and a depth image.
         max_gap: seconds between two transforms over which none is interpolated.
+        max_speed: metres a second at which the camera may move; None: any. See `Jumps`.
+        rectified: whether `colour` and `depth` images are; not if None.
         patience: seconds that an image waits for its pose.
         period: seconds between two publications.
         threshold: probability from which a cell belongs to an object.
@@ -88,6 +90,8 @@ class MappingNode:
         depth_scale: float = 1000.0,
         max_difference: float = 0.02,
         max_gap: float = 0.5,
+        max_speed: float | None = None,
+        rectified: Mapping[str, bool] | None = None,
         patience: float = 1.0,
         period: float = 1.0,
         threshold: float = 0.5,
@@ -95,6 +99,7 @@ class MappingNode:
         self.make_mapper, self.publish, self.codec = make_mapper, publish, codec
         self.world, self.mount, self.depth_scale = world, mount_of(mount) if mount else None, depth_scale
         self.max_difference = max_difference
+        self.rectified = rectified or {"colour": False, "depth": False}
         self.patience, self.period, self.threshold = patience, period, threshold
         self.counts: Counter[str] = Counter()
         self.mapper: SemanticMapper | None = None
@@ -103,7 +108,9 @@ class MappingNode:
         self._transforms = Transforms(max_gap, HISTORY)
         self._intrinsics: dict[str, tuple[Intrinsics, str]] = {}
         self._pending: deque[Pending] = deque()
-        self._stopped = False
+        self._jumps = Jumps(max_speed)
+        self._outside = 0
+        self._untold: int | None = None  # time of the newest frame that was mapped and not published
         self._last, self._published = -1, -np.inf
 
     def receive(self, role: str, message: Any) -> None:
@@ -126,16 +133,16 @@ class MappingNode:
         """Map the latest frame that has a pose, waiting for one; whether there was one."""
         with self._changed:
             frame = self._next() or (self._changed.wait(timeout) and self._next()) or None
-        if frame is None:
-            return False
-        pending, pose = frame
-        if not self._try("frame", lambda: self._map(pending, pose)):
-            return False
-        with self._changed:
-            self.counts["mapped"] += 1
+        mapped = frame is not None and self._mapped(*frame)
         if time.monotonic() - self._published >= self.period:
-            self._try("publication", lambda: self.tell(pending.stamp))
-        return True
+            self.tell_rest()
+        return mapped
+
+    def tell_rest(self) -> None:
+        """Publish the map if a frame was mapped since it was published."""
+        if (stamp := self._untold) is not None:
+            self._untold = None
+            self._try("publication", lambda: self.tell(stamp))
 
     def tell(self, stamp: int) -> None:
         """Publish the map as it is."""
@@ -159,6 +166,8 @@ class MappingNode:
             counts["waiting for its pose at the end"] += len(self._pending)
         lines = [f"{counts.pop('mapped', 0)} frames mapped"]
         lines += [f"    {count} x {what}" for what, count in counts.most_common() if count]
+        if self._outside:
+            lines.append(f"    {self._outside} cells outside the map of fixed size are lost")
         return "\n".join(lines)
 
     def _try(self, what: str, work: Callable[[], None]) -> bool:
@@ -173,31 +182,50 @@ class MappingNode:
             return False
         return True
 
+    def _mapped(self, pending: Pending, pose: np.ndarray) -> bool:
+        if not self._try("jump of the pose", lambda: self._jumps.check(pending.stamp, pose)):
+            return False
+        if not self._try("frame", lambda: self._map(pending, pose)):
+            return False
+        with self._changed:
+            self.counts["mapped"] += 1
+        self._untold = pending.stamp
+        return True
+
     def _map(self, pending: Pending, pose: np.ndarray) -> None:
         if self.mapper is None:
             self.mapper = self.make_mapper(self._camera())
-        self.mapper.update(colour_of(pending.colour), depth_of(pending.depth, self.depth_scale), pose)
+        rgb, depth = colour_of(pending.colour), depth_of(pending.depth, self.depth_scale)
+        outside = self.mapper.update(rgb, depth, pose).outside
+        if outside and not self._outside:
+            log.warning(
+                "Cells lie outside the map of fixed size and are lost; enlarge or move it (extent, centre)"
+            )
+        self._outside += outside
 
     def _take(self, role: str, message: Any) -> None:
         if role in ("tf", "tf_static"):
             for entry in message.transforms:
-                matrix = transform_of(entry.transform)
-                names = entry.header.frame_id, entry.child_frame_id
-                self._transforms.add(*names, stamp_of(entry), matrix, fixed=role == "tf_static")
+                self._take_transform(role, entry, entry.transform)
         elif role == "odometry":
-            matrix = transform_of(message.pose.pose)
-            names = message.header.frame_id, message.child_frame_id
-            self._transforms.add(*names, stamp_of(message), matrix, fixed=False)
+            self._take_transform(role, message, message.pose.pose)
         elif role.endswith("_info"):
-            self._intrinsics[role.removesuffix("_info")] = intrinsics_of(message), message.header.frame_id
+            kind = role.removesuffix("_info")
+            self._intrinsics[kind] = intrinsics_of(message, self.rectified[kind]), message.header.frame_id
         else:
-            pair = self._pairing.add(role, stamp_of(message), message)
-            if pair is not None:
-                stamp, colour, depth = pair
+            for stamp, colour, depth in self._pairing.add(role, stamp_of(message), message):
                 self._pending.append(Pending(stamp, time.monotonic(), colour, depth))
                 if len(self._pending) > MOST_PENDING:
-                    self._pending.popleft()
+                    del self._pending[1]  # not the oldest: its pose comes first
                     self.counts["dropped: a later frame came"] += 1
+
+    def _take_transform(self, role: str, entry: Any, transform: Any) -> None:
+        """One of several, of which each is refused alone."""
+        try:
+            names = entry.header.frame_id, entry.child_frame_id
+            self._transforms.add(*names, stamp_of(entry), transform_of(transform), fixed=role == "tf_static")
+        except (UserError, AttributeError, TypeError, ValueError) as error:
+            self._refuse(role, error)
 
     def _next(self) -> tuple[Pending, np.ndarray] | None:
         """The latest frame that has a pose; those before it are dropped, those after it wait for theirs."""

@@ -7,7 +7,14 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from imagination.errors import check_range
-from imagination.recordings.ros_messages import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TRANSFORMS
+from imagination.recordings.ros_messages import (
+    CAMERA_INFO,
+    COMPRESSED,
+    IMAGE,
+    ODOMETRY,
+    TRANSFORMS,
+    is_rectified,
+)
 from imagination_ros.codec import Codec
 from imagination_ros.node import MakeMapper, MappingNode
 
@@ -50,7 +57,8 @@ class RosServer:
     Args:
         transport: carries the messages.
         topics: names of colour, depth, colour_info, depth_info, and odometry (None: /tf).
-        compressed: whether colour and depth are CompressedImage.
+        compressed: whether `colour` and `depth` are CompressedImage.
+        rectified: whether images are; see `is_rectified`.
         publish: namespace of what is published.
 
     Raises:
@@ -61,7 +69,8 @@ class RosServer:
         self,
         transport: Transport,
         topics: Mapping[str, str | None],
-        compressed: bool,
+        compressed: Mapping[str, bool],
+        rectified: bool | None,
         publish: str,
         period: float,
         world: str,
@@ -69,6 +78,7 @@ class RosServer:
         depth_scale: float,
         max_difference: float,
         max_gap: float,
+        max_speed: float | None,
         patience: float,
         threshold: float,
     ) -> None:
@@ -80,7 +90,7 @@ class RosServer:
         self.transport, self.topics, self.compressed, self.namespace = (
             transport,
             dict(topics),
-            compressed,
+            dict(compressed),
             publish,
         )
         self.settings: dict[str, Any] = {
@@ -89,6 +99,8 @@ class RosServer:
             "depth_scale": depth_scale,
             "max_difference": max_difference,
             "max_gap": max_gap,
+            "max_speed": max_speed,
+            "rectified": {kind: is_rectified(str(topics[kind]), rectified) for kind in ("colour", "depth")},
             "patience": patience,
             "period": period,
             "threshold": threshold,
@@ -112,6 +124,7 @@ class RosServer:
             log.info("Listening; Ctrl-C ends and saves the map")
             while not stop.is_set():
                 node.step(timeout=0.1)
+            node.tell_rest()
         finally:
             self.transport.close()
             for number, handler in before.items():
@@ -120,8 +133,8 @@ class RosServer:
 
     def _subscriptions(self) -> list[tuple[str, str, str]]:
         """Role, topic and type of each."""
-        image = COMPRESSED if self.compressed else IMAGE
-        kinds = {"colour": image, "depth": image, "colour_info": CAMERA_INFO, "depth_info": CAMERA_INFO}
+        kinds = {kind: COMPRESSED if self.compressed[kind] else IMAGE for kind in ("colour", "depth")}
+        kinds |= {"colour_info": CAMERA_INFO, "depth_info": CAMERA_INFO}
         found = [(role, str(self.topics[role]), kind) for role, kind in kinds.items()]
         found.append(("tf_static", "/tf_static", TRANSFORMS))
         if self.topics.get("odometry"):

@@ -7,8 +7,11 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from imagination.errors import UserError, require_extra
+from imagination.errors import UserError, check_range, require_extra
 from imagination_ros.codec import Codec
+
+HEADROOM = 4
+"""Times `max_bytes`: beyond, Zenoh drops what comes over the network unassembled and untold; up to there, we tell."""
 
 
 class ZenohTransport:
@@ -20,7 +23,7 @@ class ZenohTransport:
         max_bytes: of a message.
 
     Raises:
-        UserError: if eclipse-zenoh or rosbags is not installed.
+        UserError: if eclipse-zenoh or rosbags is not installed, or max_bytes is out of range.
     """
 
     def __init__(
@@ -31,7 +34,8 @@ class ZenohTransport:
         import zenoh.ext
 
         self._zenoh: Any = zenoh
-        self.codec = Codec(distribution, max_bytes)
+        most = int(check_range("server.transport.max_bytes", max_bytes, 1, 2**30, "bytes"))
+        self.codec = Codec(distribution, most)
         self.listen, self.connect = listen, connect
         self._publishers: dict[str, Any] = {}
         self._subscribers: list[Any] = []
@@ -47,6 +51,7 @@ class ZenohTransport:
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
             "timestamping/enabled": True,  # history needs it
+            "transport/link/rx/max_message_size": HEADROOM * self.codec.max_bytes,
         }
         try:
             for key, value in settings.items():
@@ -61,6 +66,9 @@ class ZenohTransport:
     def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
         def handle(sample: Any) -> None:
             try:
+                size = len(sample.payload)  # before it is copied
+                if size > self.codec.max_bytes:
+                    raise UserError(f"{kind}: got {size} bytes, expected at most {self.codec.max_bytes}")
                 message = self.codec.decode(sample.payload.to_bytes(), kind)
             except UserError as error:
                 message = error

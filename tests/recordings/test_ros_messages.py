@@ -1,0 +1,89 @@
+"""Messages that come one by one: which belong together, and what cameras they tell of."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imagination.errors import UserError
+from imagination.geometry.rgbd import Intrinsics
+from imagination.recordings.ros_messages import Pairing, intrinsics_of, is_rectified
+from imagination.recordings.trajectory import SECOND
+from tests.robot import ROS1, ROS2, Messages
+
+TICK = SECOND // 60
+"""Between two images of one kind, less than the tolerance of pairs."""
+
+
+def paired(messages: list[tuple[str, int]], **settings: Any) -> tuple[list[tuple[int, int]], int]:
+    """Times of colour and depth of all pairs, and how many messages stay alone."""
+    pairing: Pairing[int] = Pairing(0.02, **settings)
+    found = [pair for kind, stamp in messages for pair in pairing.add(kind, stamp, stamp)]
+    found += pairing.rest()
+    assert all(stamp == colour for stamp, colour, _ in found)
+    return [(colour, depth) for _, colour, depth in found], pairing.alone
+
+
+@pytest.mark.parametrize("lost", ["colour", "depth"])
+def test_a_lost_image_does_not_shift_the_others(lost: str) -> None:
+    messages = [(kind, n * TICK) for n in range(8) for kind in ("colour", "depth") if (kind, n) != (lost, 2)]
+    assert paired(messages) == ([(n * TICK, n * TICK) for n in range(8) if n != 2], 1)
+
+
+def test_equal_times_do_not_wait() -> None:
+    pairing: Pairing[str] = Pairing(0.02)
+    assert pairing.add("depth", 5, "d") == [] and pairing.add("colour", 5, "c") == [(5, "c", "d")]
+
+
+@given(
+    late=st.floats(-0.4, 0.4),
+    lost=st.sets(st.tuples(st.sampled_from(["colour", "depth"]), st.integers(0, 19)), max_size=12),
+    waits=st.integers(0, 3),
+)
+def test_cameras_that_are_not_in_step(late: float, lost: set[tuple[str, int]], waits: int) -> None:
+    """Whatever is lost and however much later one kind comes, frames pair with their own or not at all."""
+    times = {
+        "colour": [n * TICK for n in range(20) if ("colour", n) not in lost],
+        "depth": [round((n + late) * TICK) for n in range(20) if ("depth", n) not in lost],
+    }
+    messages = [
+        (stamp + waits * TICK * (kind == "depth"), kind, stamp) for kind in times for stamp in times[kind]
+    ]
+    found, alone = paired([(kind, stamp) for _, kind, stamp in sorted(messages)])
+    both = [n for n in range(20) if not {("colour", n), ("depth", n)} & lost]
+    assert set((n * TICK, round((n + late) * TICK)) for n in both) <= set(found)
+    assert alone == len(times["colour"]) + len(times["depth"]) - 2 * len(found)
+    assert len({colour for colour, _ in found}) == len({depth for _, depth in found}) == len(found)
+
+
+def test_what_waits_for_ever_is_given_up() -> None:
+    assert paired([("depth", n * TICK) for n in range(100)], most=5) == ([], 100)
+
+
+@pytest.mark.parametrize("store", [ROS1, ROS2])
+def test_rectified_images_have_another_matrix_and_no_distortion(store: Any) -> None:
+    """sensor_msgs/CameraInfo: P is that of the rectified image; K and D are those of the raw one."""
+    messages = Messages(store, store is ROS1)
+    raw = Intrinsics(640, 480, 500.0, 501.0, 320.0, 240.0, (0.1, -0.2, 0.0, 0.0, 0.0))
+    info = messages.info(0, "camera", raw)
+    p = np.array([450.0, 0, 310, -20, 0, 451, 235, 0, 0, 0, 1, 0])
+    setattr(info, "P" if store is ROS1 else "p", p)
+    assert intrinsics_of(info) == raw
+    assert intrinsics_of(info, rectified=True) == Intrinsics(640, 480, 450.0, 451.0, 310.0, 235.0)
+    info.distortion_model = "equidistant"
+    with pytest.raises(UserError, match="rectified=true"):
+        intrinsics_of(info)
+    assert intrinsics_of(info, rectified=True).fx == 450
+    info.distortion_model = "plumb_bob"
+    p[:] = 0  # as drivers that were never calibrated leave it
+    assert intrinsics_of(info, rectified=True) == raw
+
+
+def test_topics_say_whether_images_are_rectified() -> None:
+    assert is_rectified("/camera/depth/image_rect_raw", None) and is_rectified(
+        "/c/image_rect/compressed", None
+    )
+    assert not is_rectified("/direct/image_raw", None) and is_rectified("/direct/image_raw", True)
+    assert not is_rectified("/c/image_rect", False)
