@@ -99,6 +99,11 @@ Task = Callable[[DictConfig], float | None]
 """What a command does; a figure that it returns is what a search maximises."""
 
 
+def sweeps(word: str) -> bool:
+    """Whether a word of a command line asks for several runs."""
+    return word in ("-m", "--multirun") or word.lstrip("+").startswith(("sweep=", "hparams_search="))
+
+
 class _SearchPath(SearchPathPlugin):
     """Lets Hydra find the conf trees of sound plugins, after the core's."""
 
@@ -135,7 +140,7 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
                     print(f"{plugin.name} ({plugin.origin}) is left out: {plugin.problem}", file=sys.stderr)
             _register()
             with mistakes_told():
-                if check is not None and {"-m", "--multirun"} & set(sys.argv[1:]):
+                if check is not None and any(map(sweeps, sys.argv[1:])):
                     raise UserError(
                         f"-m: imagination.{config_name} knows no sweeps; call it once for each value"
                     )

@@ -107,6 +107,7 @@ def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictC
     config = compose(
         "evaluate", [*inherited, f"unit_categories={json.dumps(every)}", "paths.run=.", *overrides]
     )
+    config.sweep_dir = None  # Hydra has it; with its date it is no part of what is evaluated
     _refuse_other_networks(config, overrides)
     validate(config)
     for of_kind in filter(None, by_kind.values()):

@@ -37,8 +37,11 @@ EVALUATED = (*EVALUATION_ONLY, "ade20k")
 BESIDE = (*EVALUATION_ONLY, "choices", "ckpt_path", "resume")
 """Nodes of a run's config that do not decide what its training makes."""
 
+SEGMENTATION = tuple(f"scale.hrnet{of}" for of in ("", "_rounds", "_final_learning_rate", "_eval_every"))
+"""Nodes that only first-person segmentation reads."""
 
-@command("study")
+
+@command("study", validate)
 def main(config: DictConfig) -> None:
     """Train what is missing, then evaluate."""
     given = [text for text in HydraConfig.get().overrides.task if top(text) not in OWN]
@@ -110,9 +113,14 @@ def trained(experiment: str, overrides: Sequence[str], outputs: Path) -> Path:
     return folder / (runs.BEST if (folder / runs.BEST).is_file() else runs.LAST)
 
 
+def trained_key(config: DictConfig) -> str:
+    """Hash of what a run's training makes."""
+    return key_of(config, (*BESIDE, *(SEGMENTATION if config.model.predicts == "maps" else ())))
+
+
 def newest(outputs: Path, config: DictConfig, finished: bool) -> Path | None:
     """The newest run that trains what a config says and has a checkpoint; with its tables, if it is to be finished."""
-    trained_by = key_of(config, BESIDE)
+    trained_by = trained_key(config)
     needed = (runs.LAST, Path("tables") / "mapping.csv") if finished else (runs.LAST,)
     found = [
         path.parent
@@ -128,7 +136,7 @@ def _trains(path: Path, trained_by: str) -> bool:
     """Whether the config of a run has this hash, and nothing that only evaluation reads, which it would pass on."""
     config = OmegaConf.load(path)
     assert isinstance(config, DictConfig)
-    return key_of(config, BESIDE) == trained_by and not any(map(evaluated, config.choices))
+    return trained_key(config) == trained_by and not any(map(evaluated, config.choices))
 
 
 def _run(name: str, *overrides: Sequence[str]) -> None:

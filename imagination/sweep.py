@@ -48,11 +48,17 @@ class Sweep(Callback):
         for member in failed:
             print(f"  {member.folder} failed ({member.overrides}): {member.problem}", file=sys.stderr)
         if done < len(every):
-            again = [text for text in sys.argv[1:] if not text.startswith("sweep_dir=")]
+            again = [_lasting(text) for text in sys.argv[1:] if not text.startswith("sweep_dir=")]
             command = shlex.join(["python", "-m", f"imagination.{config.hydra.job.name}", *again])
             print(f"Run what is not done: {command} sweep_dir={folder}", file=sys.stderr)
         if failed:
             sys.exit(1)
+
+
+def _lasting(text: str) -> str:
+    """The same argument tomorrow, when `latest` is another run."""
+    path = Path(text.removeprefix("ckpt="))
+    return f"ckpt={runs.within(path)}" if text.startswith("ckpt=") and path.is_file() else text
 
 
 def plan(hydra: DictConfig, config_name: str) -> None:

@@ -575,6 +575,27 @@ MUTATIONS = [
         "tests/baselines/test_ade20k.py",
     ),
     Mutation(
+        "schedule: the rate rises again beyond its rounds",
+        "schedule.py",
+        "self.last_epoch > self.T_max",
+        "self.last_epoch > 2 * self.T_max",
+        "tests/test_resume.py",
+    ),
+    Mutation(
+        "pairs of images: the first that is near, not the nearest",
+        "recordings/ros_messages.py",
+        "or abs(later - partner) < apart",
+        "",
+        "tests/recordings/test_ros_messages.py",
+    ),
+    Mutation(
+        "jumps of the pose: a stray one is forgotten, so that a relocalised robot is never believed",
+        "recordings/trajectory.py",
+        "self._stray = here",
+        "self._stray = None",
+        "tests/recordings/test_trajectory.py",
+    ),
+    Mutation(
         "training until flat: ends one validation late",
         "callbacks/until_flat.py",
         "return self._waited >= self.patience",

@@ -56,6 +56,9 @@ def check_sizes(experiment: str, scale: str, overrides: list[str]) -> None:
     assert resolved["data"]["observer"]["camera"]["width"] == sizes["image"]
     assert resolved["ego"]["resolution"] == resolved["ground_truth"]["resolution"] == sizes["resolution"]
     assert resolved["model"]["optimizer"]["lr"] == sizes["learning_rate"]
+    final = "hrnet_final_learning_rate" if rounds == "hrnet_rounds" else "final_learning_rate"
+    assert resolved["model"]["scheduler"]["eta_min"] == sizes[final]
+    assert resolved["model"]["scheduler"]["T_max"] == sizes["rounds"]
     assert resolved["evaluation"]["cell_widths"] == sizes["cell_widths"]
     validate(config)
 

@@ -128,6 +128,21 @@ def test_an_unknown_comparison_trains_nothing(command: Command, tmp_path: Path) 
     assert not (tmp_path / "outputs").exists()
 
 
+@pytest.mark.parametrize("word", ["-m", "+sweep=weights", "+hparams_search=optuna"])
+def test_sweeps_are_refused(command: Command, word: str) -> None:
+    """Each member's trainings would be a sweep again."""
+    done = command("study", "scale=test", word)
+    assert done.returncode == 2 and "imagination.study knows no sweeps" in done.stderr
+
+
+def test_what_only_the_other_network_reads_retrains_nothing() -> None:
+    def keys(experiment: str) -> set[str]:
+        changes = ([], ["scale.hrnet_rounds=9"], ["scale.hrnet=hrnet_w48"])
+        return {study.trained_key(study.planned(experiment, [*OVERRIDES, *change])) for change in changes}
+
+    assert len(keys("chair_unet")) == 1 and len(keys("segmentation_hrnet")) == 3
+
+
 def test_a_failure_ends_the_study_with_its_code() -> None:
     with pytest.raises(SystemExit, match="2"):
         study._run("train", ["scale=huge"])

@@ -79,6 +79,7 @@ class MappingProtocol:
         only: names of the approaches to evaluate; None for all that the networks at hand suffice for.
         known_homes: how many homes with furniture as in training, none of which is trained on, are measured as well.
         precision: what networks answer in, one of `PRECISIONS`.
+        threshold: of every global map, a whole number of hundredths; None for each approach's best on validation homes.
     """
 
     approaches: Mapping[str, Approach]
@@ -90,6 +91,7 @@ class MappingProtocol:
     only: Sequence[str] | None = None
     known_homes: int = 0
     precision: str = "32-true"
+    threshold: float | None = None
 
     def __post_init__(self) -> None:
         check_range("evaluation.cell_widths", len(self.cell_widths), 1, 100, "widths")
@@ -104,6 +106,10 @@ class MappingProtocol:
         check_range("evaluation.orientations", self.orientations, 1, 1000)
         check_range("evaluation.resamples", self.resamples, 10, 10_000_000)
         check_range("evaluation.known_homes", self.known_homes, 0, 9999, "homes")
+        if self.threshold is not None and self.threshold not in THRESHOLDS.astype(np.float64).round(2):
+            raise UserError(
+                f"evaluation.threshold: got {self.threshold}, expected 0.01, 0.02, … 0.99, or null"
+            )
         check_choice("evaluation.precision", self.precision, PRECISIONS)
         check_range("evaluation.approaches", len(self.approaches), 1, 1000, "approaches")
 
@@ -145,8 +151,9 @@ class MappingProtocol:
             for (name, category), total in totals.items():
                 if run.home in present[category]:
                     total += tallies[name][subject.setting.categories.index(category)]
+        allowed = np.s_[:] if self.threshold is None else np.isclose(THRESHOLDS, self.threshold)
         return {
-            (name, category): choose(tallies, self.approaches[name].kernels, THRESHOLDS)
+            (name, category): choose(tallies[:, allowed], self.approaches[name].kernels, THRESHOLDS[allowed])
             for (name, category), tallies in totals.items()
         }
 

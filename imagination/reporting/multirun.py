@@ -4,22 +4,26 @@ import csv
 import json
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from imagination import members
 from imagination.config import leaves
 from imagination.errors import UserError
+from imagination.reporting.config import read_yaml
 from imagination.reporting.results import Results, read_csv
-from imagination.runs import CONFIG
 
-WHERE_AND_HOW = ("paths", "choices", "callbacks", "logger")
+WHERE_AND_HOW = ("paths", "choices", "callbacks", "logger", "sweep_dir")
 """Nodes of a config that say where and how a member ran; they differ between members or follow from others."""
+
+
+MOST_MEMBERS = 100_000
+"""Of a sweep, as its files may ask for them."""
 
 
 class Member(NamedTuple):
@@ -54,8 +58,7 @@ class Multirun:
         self.folder = folder
         listed = list_of(folder / members.FILE)
         asked = [asked for asked, _, _ in listed] or grid(folder / "multirun.yaml")
-        there = [path.name for path in folder.iterdir() if path.is_dir() and path.name.isdigit()]
-        last = max([len(asked) - 1, *map(int, there)])
+        last = max([len(asked) - 1, *numbered(folder)])
         self.members = [
             member(
                 folder / str(number),
@@ -91,7 +94,13 @@ class Multirun:
 
 def is_multirun(folder: Path) -> bool:
     """Whether a folder is a sweep's: it has numbered folders, and no config of its own."""
-    return any(path.is_dir() and path.name.isdigit() for path in folder.iterdir())
+    return bool(numbered(folder))
+
+
+def numbered(folder: Path) -> list[int]:
+    """Numbers of the folders in it that are named by one."""
+    names = [path.name for path in folder.iterdir() if path.is_dir() and path.name.isdecimal()]
+    return [number for number in map(int, names) if number < MOST_MEMBERS]
 
 
 def grid(path: Path) -> list[dict[str, str]]:
@@ -100,16 +109,21 @@ def grid(path: Path) -> list[dict[str, str]]:
     Empty where there is no such file or its sweeper is not Hydra's own, whose members are known beforehand.
     """
     try:
-        asked = yaml.safe_load(path.read_text())["hydra"]
+        asked = read_yaml(path)["hydra"]
         if not asked["sweeper"]["_target_"].endswith("BasicSweeper"):
             return []
         texts = [*(f"{key}={value}" for key, value in (asked["sweeper"]["params"] or {}).items())]
         texts += asked["overrides"]["task"]
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+        parsed = [
+            each for each in OverridesParser.create().parse_overrides(texts) if each.is_sweep_override()
+        ]
+        lists = [
+            [(each.key_or_group, text) for text in islice(each.sweep_string_iterator(), MOST_MEMBERS)]
+            for each in parsed
+        ]
+        return [dict(choice) for choice in islice(product(*lists), MOST_MEMBERS)]
+    except Exception:  # missing or damaged: then the folders alone tell
         return []
-    parsed = [each for each in OverridesParser.create().parse_overrides(texts) if each.is_sweep_override()]
-    lists = [[(each.key_or_group, text) for text in each.sweep_string_iterator()] for each in parsed]
-    return [dict(choice) for choice in product(*lists)]
 
 
 def list_of(path: Path) -> list[tuple[dict[str, str], str, str]]:
@@ -141,8 +155,9 @@ def member(folder: Path, asked: dict[str, str], told: tuple[str, ...] = ("", "")
     """One member, and how far it came; `told` is its state and problem as the sweep itself has them."""
     state, problem = told
     if state == "failed":
-        results = Results(folder) if (folder / CONFIG).is_file() else None
-        return Member(folder.name, results, "failed", problem, asked)
+        with suppress(UserError):  # it left no config, or a damaged one
+            return Member(folder.name, Results(folder), "failed", problem, asked)
+        return Member(folder.name, None, "failed", problem, asked)
     if not folder.is_dir():
         return Member(
             folder.name, None, "missing", "has no folder: it was never started, or was deleted", asked
@@ -191,4 +206,7 @@ def _independent(found: Mapping[str, dict[str, str]]) -> dict[str, dict[str, str
 def _values(config: Mapping[str, Any]) -> dict[str, str]:
     """A member's config as text, without where and how it ran."""
     told = {node: value for node, value in config.items() if node not in WHERE_AND_HOW}
-    return {key: value if isinstance(value, str) else json.dumps(value) for key, value in leaves(told)}
+    return {
+        key: value if isinstance(value, str) else json.dumps(value, default=str)
+        for key, value in leaves(told)
+    }

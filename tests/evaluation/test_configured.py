@@ -55,6 +55,7 @@ def test_without_overrides_everything_is_as_in_the_run() -> None:
     ]  # in the place of references
     trained = compose("train", [*choices, *values, "paths.run=."])
     evaluated = configured([checkpoint(choices, *values)], ["ckpt=best.ckpt"])
+    assert evaluated.sweep_dir is None  # holds the time, and would pass for what was swept
     for key in NODES:
         assert node(evaluated, key) == node(trained, key), key
 

@@ -85,6 +85,14 @@ def test_the_choice_is_the_best_of_all_candidates_together(subject: Subject, rep
         assert 0 <= mean_iou(both) <= 1
 
 
+def test_a_threshold_that_is_given_is_not_chosen(subject: Subject, report: Report) -> None:
+    fixed = make_protocol(threshold=0.3).choose(subject, HOMES)
+    assert fixed.keys() == report.choices.keys()
+    assert {choice.threshold for choice in fixed.values()} == {0.3}
+    assert all(choice.iou <= report.choices[key].iou for key, choice in fixed.items())
+    assert any(choice.iou < report.choices[key].iou for key, choice in fixed.items())
+
+
 def test_the_same_seed_gives_the_same_report_and_renders_nothing_again(
     subject: Subject, report: Report, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,6 +145,7 @@ def test_homes_without_the_category_are_left_out(subject: Subject, report: Repor
     ("change", "message"),
     [
         ({"known_homes": -1}, "known_homes: got -1"),
+        ({"threshold": 0.305}, "evaluation.threshold: got 0.305"),
         ({"precision": "half"}, "evaluation.precision: got 'half'"),
         ({"cell_widths": [0.0]}, r"cell_widths: got 0\.0"),
         ({"cell_widths": []}, "cell_widths: got 0"),

@@ -9,7 +9,7 @@ import yaml
 
 from imagination.errors import UserError
 from imagination.report import read
-from imagination.reporting.multirun import Multirun, grid
+from imagination.reporting.multirun import MOST_MEMBERS, Multirun, grid
 from tests.reporting.folders import make_folder
 
 SWEPT = ["+experiment=made", "kernels.imaginable=0.6,1.0,1.4", "model.alpha_max=10,30"]
@@ -48,6 +48,24 @@ def test_hydras_grid_gives_the_members(sweep: Path) -> None:
     assert grid(sweep / "nothing.yaml") == []
 
 
+@pytest.mark.parametrize(
+    ("task", "members"),
+    [
+        (["a=1,2", "b=["], 0),  # no override
+        ("a=1,2", 0),
+        ([5], 0),
+        (["a=range(0,1000000000)"], MOST_MEMBERS),
+        ([f"a{number}=1,2,3,4,5,6,7,8,9" for number in range(20)], MOST_MEMBERS),
+    ],
+)
+def test_a_grid_that_was_damaged_is_not_gone_by(tmp_path: Path, task: object, members: int) -> None:
+    """Nor is one that would fill memory."""
+    sweeper = {"_target_": "hydra._internal.core_plugins.basic_sweeper.BasicSweeper", "params": None}
+    asked = {"hydra": {"sweeper": sweeper, "overrides": {"task": task}}}
+    (tmp_path / "multirun.yaml").write_text(yaml.safe_dump(asked))
+    assert len(grid(tmp_path / "multirun.yaml")) == members
+
+
 def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
     found = Multirun(sweep)
     assert list(found.swept) == ["kernels.imaginable", "model.alpha_max"]
@@ -84,7 +102,7 @@ def test_what_was_swept_is_found_in_configs_that_name_no_choices(sweep: Path) ->
     ]  # a search's page has its own
     for path in sweep.glob("*/config.yaml"):
         config = yaml.safe_load(path.read_text())
-        path.write_text(yaml.safe_dump({**config, "choices": []}))
+        path.write_text(yaml.safe_dump({**config, "choices": [], "sweep_dir": f"multirun_{path.parent.name}"}))
     found = Multirun(sweep)
     assert sorted(found.swept) == ["data.delta", "model.alpha_max"] or sorted(found.swept) == [
         "kernels.imaginable",
@@ -174,6 +192,8 @@ def test_the_sweeps_own_list_of_members_is_believed(sweep: Path) -> None:
             f"{number},hash,{state},,+experiment=made kernels.imaginable={delta} model.alpha_max={alpha},{problem}"
         )
     (sweep / "members.csv").write_text("\n".join(lines) + "\n")
+    (sweep / "2" / "config.yaml").write_text("a: [")  # what the list says is enough
+    (sweep / ("9" * 12)).mkdir()  # no member of any sweep
     told = read(sweep).problems
     assert told[0] == "member 2 (kernels.imaginable=1.0, model.alpha_max=10) is failed: out of luck"
     assert told[1].startswith("member 4 (kernels.imaginable=1.4, model.alpha_max=10) is missing")
