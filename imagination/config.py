@@ -68,6 +68,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.viewpoint_sets": (1, 10_000, ""),
     "scale.orientations": (1, 1000, ""),
     "scale.hrnet_rounds": (1, 10**9, "rounds"),
+    "scale.hrnet_most_rounds": (1, 10**9, "rounds"),
     "scale.hrnet_eval_every": (1, 1_000_000, "rounds"),
     "scale.workers": (0, 1024, "processes"),
     "trainer.max_epochs": (1, 10**9, "rounds"),
@@ -237,6 +238,12 @@ def validate(config: DictConfig) -> None:
     if not isinstance(config.scale.mirrored_answers, bool):
         raise UserError(
             f"scale.mirrored_answers: got {config.scale.mirrored_answers!r}, expected true or false"
+        )
+    rounds = [config.scale[name] for name in ("rounds", "hrnet_rounds", "hrnet_most_rounds")]
+    if OmegaConf.select(config, "model.predicts") == "images" and rounds != sorted(rounds):
+        raise UserError(
+            f"scale.hrnet_rounds: got {rounds[1]}, expected scale.rounds, {rounds[0]}, to scale.hrnet_most_rounds, "
+            f"{rounds[2]}: a baseline trains as long as the units"
         )
     widths = config.scale.cell_widths
     if not isinstance(widths, ListConfig) or not widths:

@@ -37,7 +37,9 @@ EVALUATED = (*EVALUATION_ONLY, "ade20k")
 BESIDE = (*EVALUATION_ONLY, "choices", "ckpt_path", "resume")
 """Nodes of a run's config that do not decide what its training makes."""
 
-SEGMENTATION = tuple(f"scale.hrnet{of}" for of in ("", "_rounds", "_final_learning_rate", "_eval_every"))
+SEGMENTATION = tuple(
+    f"scale.hrnet{of}" for of in ("", "_rounds", "_most_rounds", "_final_learning_rate", "_eval_every")
+)
 """Nodes that only first-person segmentation reads."""
 
 

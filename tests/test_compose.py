@@ -50,15 +50,18 @@ def check_sizes(experiment: str, scale: str, overrides: list[str]) -> None:
     sizes = read(CONF / "scale" / f"{scale}.yaml")
     assert resolved["scale"] == sizes
     assert resolved["name"] == experiment
-    rounds = "hrnet_rounds" if resolved["model"]["predicts"] == "images" else "rounds"
+    rounds = "hrnet_most_rounds" if resolved["model"]["predicts"] == "images" else "rounds"
     assert resolved["trainer"]["max_epochs"] == sizes[rounds]
     assert resolved["data"]["module"]["batch_size"] == sizes["batch_size"]
     assert resolved["data"]["observer"]["camera"]["width"] == sizes["image"]
     assert resolved["ego"]["resolution"] == resolved["ground_truth"]["resolution"] == sizes["resolution"]
     assert resolved["model"]["optimizer"]["lr"] == sizes["learning_rate"]
-    final = "hrnet_final_learning_rate" if rounds == "hrnet_rounds" else "final_learning_rate"
+    final = "hrnet_final_learning_rate" if rounds == "hrnet_most_rounds" else "final_learning_rate"
     assert resolved["model"]["scheduler"]["eta_min"] == sizes[final]
-    assert resolved["model"]["scheduler"]["T_max"] == sizes["rounds"]
+    assert (
+        resolved["model"]["scheduler"]["T_max"]
+        == sizes["hrnet_rounds" if rounds == "hrnet_most_rounds" else "rounds"]
+    )
     assert resolved["evaluation"]["cell_widths"] == sizes["cell_widths"]
     validate(config)
 
@@ -122,6 +125,13 @@ def test_paper_holds_the_appendix() -> None:
 def test_out_of_range_is_refused(override: str, told: str) -> None:
     with pytest.raises(UserError, match=told):
         validate(compose("train", [override]))
+
+
+def test_a_baseline_trains_as_long_as_the_units() -> None:
+    for override in ("scale.rounds=85", "scale.hrnet_most_rounds=83"):
+        with pytest.raises(UserError, match="scale.hrnet_rounds: got 84, expected scale.rounds"):
+            validate(compose("train", ["+experiment=segmentation_hrnet", "scale=desk", override]))
+        validate(compose("train", ["+experiment=chair_unet", "scale=desk", override]))
 
 
 def test_a_small_imaginable_mask_warns() -> None:

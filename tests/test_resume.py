@@ -245,8 +245,11 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(
     """SIGKILL some seconds after the first checkpoint, move the folder, resume: the same weights, tables and curves."""
     job = [f"+experiment={experiment}", "scale=test", "scale.eval_every=2", "scale.workers=1"]
     if experiment == "segmentation_hrnet":  # six rounds: beyond those in which its rate falls, until flat
-        job += ["scale.hrnet_rounds=8", "callbacks.until_flat.patience=5", "callbacks.until_flat.margin=1.0"]
-        job += ["scale.rounds=3"]
+        job += [
+            "scale.hrnet_most_rounds=8",
+            "callbacks.until_flat.patience=5",
+            "callbacks.until_flat.margin=1.0",
+        ]
     else:
         job += ["scale.rounds=6", "scale.final_learning_rate=0.00001"]
     whole, broken = tmp_path / "whole", tmp_path / "broken"

@@ -137,7 +137,7 @@ def test_sweeps_are_refused(command: Command, word: str) -> None:
 
 def test_what_only_the_other_network_reads_retrains_nothing() -> None:
     def keys(experiment: str) -> set[str]:
-        changes = ([], ["scale.hrnet_rounds=9"], ["scale.hrnet=hrnet_w48"])
+        changes = ([], ["scale.hrnet_most_rounds=9"], ["scale.hrnet=hrnet_w48"])
         return {study.trained_key(study.planned(experiment, [*OVERRIDES, *change])) for change in changes}
 
     assert len(keys("chair_unet")) == 1 and len(keys("segmentation_hrnet")) == 3

@@ -44,7 +44,7 @@ class UntilFlat(Callback):
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if not self.flat or trainer.current_epoch < self.min_rounds:
             log.warning(
-                "Training ended after %d rounds, before %s was flat and %d rounds were done, as many as units train; "
+                "Training ended after %d rounds, before %s was flat and %d rounds were done, those of its schedule; "
                 "raise trainer.max_epochs and go on with resume",
                 trainer.current_epoch,
                 self.monitor,

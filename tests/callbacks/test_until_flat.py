@@ -45,12 +45,12 @@ def test_training_ends_when_the_score_stays_flat() -> None:
     assert play(callback(), Played(), [0.1, 0.2, 0.205, 0.3, 0.305, 0.2, 0.9]) == 6
 
 
-def test_it_lasts_at_least_as_long_as_the_units() -> None:
+def test_it_lasts_at_least_as_long_as_its_schedule() -> None:
     assert play(callback(min_rounds=8), Played(), [0.1] * 20) == 8
 
 
-def test_ending_before_the_units_do_is_told(caplog: pytest.LogCaptureFixture) -> None:
-    """As with scale.rounds above scale.hrnet_rounds: flat or not, a baseline that trains for less is told."""
+def test_ending_before_the_schedule_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    """As with trainer.max_epochs below scale.hrnet_rounds: flat or not, what ends before its schedule is told."""
     until, fake = callback(min_rounds=8), Played()
     play(until, fake, [0.1] * 7)  # trainer.max_epochs
     until.on_train_end(fake, MODULE)
