@@ -1,6 +1,7 @@
 """`make bench`, or `python -m benchmarks [section …]`: writes benchmarks/results.md and results.json.
 
-Each section runs in a process of its own, so that its peak memory and its threads are its own.
+Each section runs in a process of its own, so that its peak memory and its threads are its own. Its results join those
+that are there as soon as it ends; what cannot be measured on this machine is told in its place.
 """
 
 from __future__ import annotations
@@ -15,18 +16,22 @@ from datetime import date
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
+from resource import RUSAGE_CHILDREN
 from time import perf_counter
 from typing import Any
 
-from benchmarks.measure import Figure, peak_memory
+from benchmarks.measure import Figure, peak_memory, unmeasured
 
-SECTIONS = ("startup", "rendering", "truth", "maps", "buffer", "training", "evaluation", "shards")
+SECTIONS = tuple("startup rendering truth maps buffer training distributed evaluation shards".split())
+WITH_PROCESSES = {"startup", "rendering", "distributed", "shards"}
+"""Sections that measure processes which they start."""
+
 LIBRARIES = ("torch", "lightning", "numpy", "numba", "embreex", "opencv-python-headless", "timm")
 FOLDER = Path(__file__).parent
 
 HEAD = """# Benchmarks
 
-Made by `{command}` on {day}: {hardware}; Python {python}, {libraries}; seed {seed}; {minutes:.1f} minutes.
+Made by {made}; {minutes:.1f} minutes in all.
 
 Medians, in turns with what they are compared to. *Of the limit* says how near a figure is to what this machine could do
 at best, measured in the same run: 100 % is there. *Times as fast* compares with another way to the same result,
@@ -34,39 +39,56 @@ re-implemented in vectorised torch on the same thread (`benchmarks/rivals.py`, e
 """
 
 
-def main(sections: list[str]) -> None:
-    """Run sections, write the results."""
-    from benchmarks.subjects import SEED
-    from imagination.evaluation.results import hardware
-
-    start = perf_counter()
-    results: dict[str, Any] = {}
+def main(sections: list[str]) -> bool:
+    """Run sections and write the results after each; whether all of them ended well."""
+    command = " ".join(["python -m benchmarks", *(sections if sections != list(SECTIONS) else [])])
+    machine = inside("--machine")
+    assert machine is not None
+    well = True
     with tempfile.TemporaryDirectory() as folder:
         for section in sections:
             print(f"{section} …", file=sys.stderr, flush=True)
-            command = [sys.executable, "-m", "benchmarks", "--section", section, folder]
-            done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-            results[section] = json.loads(done.stdout.splitlines()[-1])
-    about = {
-        "command": " ".join(["python -m benchmarks", *(sections if sections != list(SECTIONS) else [])]),
-        "day": date.today().isoformat(),
-        "hardware": hardware(),
-        "python": platform.python_version(),
-        "libraries": {name: version(name) for name in LIBRARIES},
-        "seed": SEED,
-        "minutes": (perf_counter() - start) / 60,
-    }
-    (FOLDER / "results.json").write_text(json.dumps({"about": about, "sections": results}, indent=1) + "\n")
-    (FOLDER / "results.md").write_text(page(about, results))
+            start = perf_counter()
+            result = inside("--section", section, folder)
+            if result is None:
+                well = False
+                result = {"figures": [asdict(unmeasured(section, "it failed, the terminal says why"))]}
+            result |= {"command": command, "minutes": (perf_counter() - start) / 60, **machine}
+            write(FOLDER, section, result)
     print((FOLDER / "results.md").read_text())
+    return well
 
 
-def page(about: dict[str, Any], results: dict[str, Any]) -> str:
-    """The results as Markdown."""
-    libraries = ", ".join(f"{name} {number}" for name, number in about["libraries"].items())
-    parts = [HEAD.format(**{**about, "libraries": libraries})]
-    for section, result in results.items():
-        parts.append(f"## {section.capitalize()}\n\nPeak memory {result['peak_memory']:.1f} GB.\n")
+def inside(*words: str) -> dict[str, Any] | None:
+    """What a process of its own prints last, which keeps this one small; None if it fails."""
+    command = [sys.executable, "-m", "benchmarks", *words]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    return dict(json.loads(done.stdout.splitlines()[-1])) if done.returncode == 0 else None
+
+
+def write(folder: Path, section: str, result: dict[str, Any]) -> None:
+    """Put a section's result in the place of its earlier one, beside those of the others."""
+    path = folder / "results.json"
+    sections = json.loads(path.read_text())["sections"] if path.is_file() else {}
+    sections[section] = result
+    sections = {name: sections[name] for name in SECTIONS if name in sections}
+    path.write_text(json.dumps({"sections": sections}, indent=1) + "\n")
+    (folder / "results.md").write_text(page(sections))
+
+
+def page(sections: dict[str, Any]) -> str:
+    """The results as Markdown; how a section was made is told where it was made otherwise than the first."""
+    made = [how_made(result) for result in sections.values()]
+    minutes = sum(result["minutes"] for result in sections.values())
+    parts = [HEAD.format(made="; ".join(made[0]), minutes=minutes)]
+    for how, (section, result) in zip(made, sections.items(), strict=True):
+        about = [f"Took {result['minutes']:.1f} minutes"]
+        if "peak_memory" in result:
+            about.append(f"peak memory {result['peak_memory']:.1f} GB")
+        if result.get("peak_memory_of_processes"):
+            about.append(f"{result['peak_memory_of_processes']:.1f} GB the largest process that it started")
+        about += [each for each in how if each not in made[0]]
+        parts.append(f"## {section.capitalize()}\n\n{'; '.join(about)}.\n")
         parts.append("| what | median | beside | ratio | target |\n|---|---|---|---|---|")
         parts += [row(Figure(**each)) for each in result["figures"]]
         notes = dict.fromkeys(
@@ -75,15 +97,28 @@ def page(about: dict[str, Any], results: dict[str, Any]) -> str:
             if each["note"]
         )
         parts += ["", *notes] if notes else [""]
-        if result.get("operators"):
-            parts.append("\nThe default unit's step by operator (share of the time, profiled):\n")
-            parts += [f"- {share:.1%} `{name}`" for name, share in result["operators"]]
+        for kind, operators in result.get("operators", {}).items():
+            parts.append(f"\nThe default unit's step by operator, {kind} (share of the time, profiled):\n")
+            parts += [f"- {share:.1%} `{name}`" for name, share in operators]
         parts.append("")
     return "\n".join(parts).rstrip() + "\n"
 
 
+def how_made(result: dict[str, Any]) -> list[str]:
+    """Command, day, machine, versions and seed of a section."""
+    libraries = ", ".join(f"{name} {number}" for name, number in result["libraries"].items())
+    return [
+        f"`{result['command']}`",
+        result["day"],
+        result["hardware"],
+        f"Python {result['python']}, {libraries}",
+        f"seed {result['seed']}",
+    ]
+
+
 def row(figure: Figure) -> str:
     """One line of a table."""
+    median = "not measured" if figure.value is None else f"{figure.value:.4g} {figure.unit}"
     beside = f"{figure.limit:.4g} {figure.unit} ({figure.limit_is})" if figure.limit else ""
     ratio = ""
     if figure.ratio is not None:
@@ -95,29 +130,50 @@ def row(figure: Figure) -> str:
             f"{figure.target:.0%} of the limit" if figure.of_limit else f"{figure.target:g} {figure.unit}"
         )
         target = f"{sign} {wanted}: {'met' if figure.met else '**missed**'}"
-    return f"| {figure.what} | {figure.value:.4g} {figure.unit} | {beside} | {ratio} | {target} |"
+    return f"| {figure.what} | {median} | {beside} | {ratio} | {target} |"
 
 
 def section(name: str, folder: str) -> None:
     """Run one section and print it as one line of JSON."""
+    from imagination.errors import UserError
+
     module = import_module(f"benchmarks.{name}")
-    figures = module.run(folder)
-    print(
-        json.dumps(
-            {
-                "figures": [asdict(figure) for figure in figures],
-                "peak_memory": peak_memory(),
-                "operators": getattr(module, "OPERATORS", None),
-            }
-        )
-    )
+    try:
+        figures = module.run(folder)
+    except UserError as error:  # an optional package is not installed
+        figures = [unmeasured(name, str(error))]
+    result = {
+        "figures": [asdict(figure) for figure in figures],
+        "operators": getattr(module, "OPERATORS", {}),
+        "peak_memory": peak_memory(),
+    }
+    if name in WITH_PROCESSES:
+        result["peak_memory_of_processes"] = peak_memory(RUSAGE_CHILDREN)
+    print(json.dumps(result))
+
+
+def machine() -> None:
+    """Print what all sections of a run share as one line of JSON."""
+    from benchmarks.subjects import SEED
+    from imagination.evaluation.results import hardware
+
+    about = {
+        "day": date.today().isoformat(),
+        "hardware": hardware(),
+        "python": platform.python_version(),
+        "libraries": {name: version(name) for name in LIBRARIES},
+        "seed": SEED,
+    }
+    print(json.dumps(about))
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--section"]:
+    wrong = [name for name in sys.argv[1:] if name not in SECTIONS]
+    if sys.argv[1:] == ["--machine"]:
+        machine()
+    elif sys.argv[1:2] == ["--section"]:
         section(*sys.argv[2:4])
+    elif wrong:
+        sys.exit(f"benchmarks: got {' '.join(wrong)}, expected any of: {', '.join(SECTIONS)}")
     else:
-        wrong = [name for name in sys.argv[1:] if name not in SECTIONS]
-        if wrong:
-            sys.exit(f"benchmarks: got {' '.join(wrong)}, expected any of: {', '.join(SECTIONS)}")
-        main(sys.argv[1:] or list(SECTIONS))
+        sys.exit(0 if main(sys.argv[1:] or list(SECTIONS)) else 1)

@@ -22,8 +22,10 @@ def run(folder: str) -> list[Figure]:
     desk = config(folder, "scale.workers=0")
     data = instantiate(desk.data.module)
     model = instantiate(desk.model.module).eval()
-    protocol: MappingProtocol = replace(instantiate(desk.evaluation), viewpoint_sets=1)
-    subject, observer = subject_of(data, [model], protocol.precision), data.observer
+    asked: MappingProtocol = replace(instantiate(desk.evaluation), viewpoint_sets=1)
+    subject, observer = subject_of(data, [model], asked.precision), data.observer
+    protocol = asked.available(subject.predict.gives)
+    needs = protocol._plan(subject).needs
     for home in HOMES:
         observer.truth(home)  # measured elsewhere
     runs, looks = runs_of(HOMES, protocol.cell_widths, 1), Looks(protocol.seed, protocol.orientations)
@@ -32,10 +34,10 @@ def run(folder: str) -> list[Figure]:
     rendering = perf_counter() - start
     views = [views_of(observer, run, looks) for run in runs]
     count = sum(len(each["pose"]) for each in views)
-    subject.predict(views[0])
+    subject.predict(views[0], needs)
     start = perf_counter()
     for each in views:
-        subject.predict(each)
+        subject.predict(each, needs)
     predicting = perf_counter() - start
     start = perf_counter()
     choices = protocol.choose(subject, HOMES, silent=True)

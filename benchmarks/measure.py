@@ -17,7 +17,7 @@ class Figure:
 
     Attributes:
         what: was measured.
-        value, unit: the median.
+        value, unit: the median; None where it could not be measured, and the note says why.
         limit: what the machine could do at best, or what a rival does, in the same unit.
         limit_is: what the limit is.
         target, at_most: what is wanted, and whether less is better; None if nothing is asked.
@@ -27,7 +27,7 @@ class Figure:
     """
 
     what: str
-    value: float
+    value: float | None
     unit: str
     limit: float | None = None
     limit_is: str = ""
@@ -48,11 +48,16 @@ class Figure:
     @property
     def met(self) -> bool | None:
         """Whether the target is reached."""
-        if self.target is None:
+        if self.target is None or self.value is None:
             return None
         got = self.ratio if self.of_limit else self.value
         assert got is not None
         return got <= self.target if self.at_most else got >= self.target
+
+
+def unmeasured(what: str, why: str) -> Figure:
+    """The line of something that this machine cannot measure."""
+    return Figure(what, None, "", note=f"not measured: {why}")
 
 
 def medians(
@@ -85,6 +90,9 @@ def copying(*arrays: np.ndarray) -> Callable[[], None]:
     return copy
 
 
-def peak_memory() -> float:
-    """Most memory that this process has held, GB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+def peak_memory(whose: int = resource.RUSAGE_SELF) -> float:
+    """Most memory that this process has held, GB; of `RUSAGE_CHILDREN`, the largest one that it started and that ended.
+
+    To Linux a process begins as large as the one that starts it: those that measure others start them first.
+    """
+    return resource.getrusage(whose).ru_maxrss / 1e6

@@ -12,6 +12,7 @@ from benchmarks.subjects import SEED, config, observer
 from imagination.data import shards
 from imagination.data.datamodule import count_truth
 from imagination.data.shards import Recipe, Shards
+from imagination.errors import require_extra
 from imagination.views.pool import ScenePool
 from imagination.views.samplers import UniformPoses
 
@@ -21,6 +22,7 @@ VIEWS = 100
 
 def run(folder: str) -> list[Figure]:
     """All figures."""
+    require_extra("litdata", "shards")
     group = config(folder).scale.update_interval
     recipe = Recipe(UniformPoses(), SEED, VIEWS, group)
     made = {workers: written(f"{folder}/corpus_{workers}", workers, recipe) for workers in (1, 2)}
@@ -29,12 +31,17 @@ def run(folder: str) -> list[Figure]:
     read = Shards(str(corpus), "", "1GB")
     home = next(iter(read.homes))
     times = medians({"read": reading(read, home), "copy": copying(*read.read(home, 0).values())}, 2.0)
-    once = {"note": "once, not a median"}
+    once = "once, not a median"
     return [
-        Figure("home and truth for a corpus, 1 process", made[1][0], "s a home", **once),
-        Figure("views written by 1 process", made[1][1], "views/s", **once),
+        Figure("home and truth for a corpus, 1 process", made[1][0], "s a home", note=once),
+        Figure("views written by 1 process", made[1][1], "views/s", note=once),
         Figure(
-            "views written by 2 processes", made[2][1], "views/s", 2 * made[1][1], "twice 1 process", **once
+            "views written by 2 processes",
+            made[2][1],
+            "views/s",
+            2 * made[1][1],
+            "twice 1 process",
+            note=once,
         ),
         Figure("size of a view", size / 1e3, "kB"),
         Figure(

@@ -20,10 +20,10 @@ SEED = 0
 """Of everything drawn at random here."""
 
 
-def config(cache_folder: str, *overrides: str) -> DictConfig:
+def config(cache_folder: str, *overrides: str, experiment: str = "chair_unet") -> DictConfig:
     """A run's config as the command composes it."""
     paths = ["paths.run=.", f"paths.cache={cache_folder}"]
-    return compose("train", ["+experiment=chair_unet", *paths, *overrides])
+    return compose("train", [f"+experiment={experiment}", *paths, *overrides])
 
 
 def observer(cache_folder: str, *overrides: str) -> Observer:

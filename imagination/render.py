@@ -3,6 +3,7 @@
 import logging
 import re
 import sys
+from contextlib import closing
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple, cast
@@ -24,7 +25,6 @@ from imagination.ground_truth.pictures import Look
 from imagination.progress import progress
 from imagination.scenes.renderer import SceneRenderer, renderer_of
 from imagination.scenes.scene import SPLITS, Scene, Split
-from imagination.views.pool import ScenePool
 from imagination.views.poses import sample_poses
 from imagination.views.view import Observer, View
 
@@ -94,7 +94,6 @@ def write_corpus(config: DictConfig) -> None:
     check_range("parts", config.parts, 1, 1_000_000, "jobs")
     check_range("part", config.part, 0, config.parts - 1)
     observer: Observer = instantiate(config.data.observer)
-    pool = ScenePool(observer, config.scale.workers)
     split = cast(Split, check_choice("split", config.split, SPLITS))
     recipe = shards.Recipe(
         instantiate(config.data.sampler), config.seed, config.views, config.scale.update_interval
@@ -102,16 +101,13 @@ def write_corpus(config: DictConfig) -> None:
     folder, homes = Path(config.shards), observer.source.scenes(split)[config.part :: config.parts]
     folder.mkdir(parents=True, exist_ok=True)
     with runs.logging_to(folder / f"render_{config.part}_of_{config.parts}.log"):
-        left = [home for home in homes if not shards.written(folder, observer, home, recipe)]
+        left = shards.unwritten(folder, observer, homes, recipe)
         begin, failed = perf_counter(), []
-        try:
-            tasks = {home: pool.submit(shards.try_home, home, folder, recipe) for home in left}
-            for home, task in progress(tasks.items(), f"views of homes ({split})", len(tasks)):
-                if problem := task.result():
+        with closing(shards.write_homes(observer, left, folder, recipe, config.scale.workers)) as done:
+            for home, problem in progress(done, f"views of homes ({split})", len(left)):
+                if problem:
                     failed.append(home)
                     log.error("%s is left out: %s", home, problem)
-        finally:
-            pool.close()
         seconds = perf_counter() - begin
         about = shards.write_index(folder, observer, recipe)
         count, size = len(about["homes"]), sum(path.stat().st_size for path in folder.glob("chunk-*.bin"))
@@ -119,8 +115,8 @@ def write_corpus(config: DictConfig) -> None:
         log.info(
             "%s: %d homes, %d views, %.1f kB a view", folder, count, count * recipe.views, per_view / 1e3
         )
-        if done := len(left) - len(failed):
-            pace = done * recipe.views / seconds
+        if written := len(left) - len(failed):
+            pace = written * recipe.views / seconds
             log.info(
                 "%.0f views/s on %d processes, the homes and their truth included: a million take %.1f hours and "
                 "%.0f GB",

@@ -5,10 +5,11 @@ import logging
 import os
 import re
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from errno import EACCES, EDQUOT, EFBIG, ENOSPC, EROFS
 from itertools import count
@@ -185,6 +186,18 @@ def now() -> str:
     return datetime.now().strftime(STAMP)
 
 
+class _LogFile(logging.FileHandler):
+    """A log that ends where the disk is full: what the work itself writes tells so, in one message."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+        if not isinstance(sys.exc_info()[1], OSError):
+            super().handleError(record)
+
+    def close(self) -> None:
+        with suppress(OSError):
+            super().close()
+
+
 @contextmanager
 def logging_to(file: Path) -> Iterator[None]:
     """Send messages to the screen and, with their time, to a file."""
@@ -193,7 +206,7 @@ def logging_to(file: Path) -> Iterator[None]:
         screen = logging.StreamHandler()  # type: ignore[assignment]
     screen.setFormatter(logging.Formatter("%(message)s"))
     screen.addFilter(lambda message: not hasattr(message, "file_only"))
-    record = logging.FileHandler(file)
+    record = _LogFile(file)
     record.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     root = logging.getLogger()
     before = root.handlers[:], root.level

@@ -591,8 +591,8 @@ MUTATIONS = [
     Mutation(
         "jumps of the pose: a stray one is forgotten, so that a relocalised robot is never believed",
         "recordings/trajectory.py",
-        "self._stray = here",
-        "self._stray = None",
+        "self._stray = here\n            (x, y, z)",
+        "self._stray = None\n            (x, y, z)",
         "tests/recordings/test_trajectory.py",
     ),
     Mutation(

@@ -14,13 +14,10 @@ def test_the_config_reference_is_up_to_date() -> None:
     assert (ROOT / "docs" / "configuration.md").read_text() == made, "run: python docs/configuration.py"
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        *("README.md", "docs/conventions.md", "docs/ground-truth.md", "docs/reliability.md", "docs/robot.md"),
-        "docs/scene-sources.md",
-    ],
-)
+PAGES = ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_links_lead_somewhere(page: str) -> None:
     path = ROOT / page
     for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", path.read_text()):

@@ -1,5 +1,6 @@
 """Sweeps on all cores of a machine and on a Ray cluster: the same results, failures told, killed workers replaced."""
 
+import json
 import os
 import signal
 import subprocess
@@ -8,10 +9,14 @@ import time
 from pathlib import Path
 
 import pytest
+from hydra._internal.callbacks import Callbacks
+from hydra.types import HydraContext
+from omegaconf import DictConfig, OmegaConf
 
 from imagination import errors
 from imagination.errors import UserError
 from tests.conftest import ROOT, Command
+from tests.deployment.checkpoints import make_checkpoint
 
 SWEEP = ["train", "-m", "+experiment=chair_unet", "scale=test", "scale.workers=0", "seed=1,2"]
 
@@ -19,7 +24,7 @@ SWEEP = ["train", "-m", "+experiment=chair_unet", "scale=test", "scale.workers=0
 def tables(outputs: Path) -> dict[str, bytes]:
     """Each member's tables by its folder."""
     found = {}
-    for path in sorted(outputs.glob("chair_unet/multirun_*/*/tables/*.csv")):
+    for path in sorted(outputs.glob("*/multirun_*/*/tables/*.csv")):
         found["/".join(path.parts[-3:])] = path.read_bytes()
     return found
 
@@ -46,9 +51,12 @@ def test_a_member_that_fails_is_told_and_the_others_finish(command: Command, tmp
 
 
 @pytest.mark.slow
-def test_a_killed_workers_task_is_retried(tmp_path: Path) -> None:
+def test_a_killed_workers_task_is_retried(command: Command, tmp_path: Path) -> None:
     pytest.importorskip("ray")
-    words = [*SWEEP, "hydra/launcher=ray", "scale.rounds=6"]
+    long = [*SWEEP, "scale.rounds=6"]
+    done = command(*long, f"paths.outputs={tmp_path / 'alone'}", timeout=900)
+    assert done.returncode == 0, done.stderr
+    words = [*long, "hydra/launcher=ray", f"paths.outputs={tmp_path / 'outputs'}"]
     with open(tmp_path / "told", "w") as told:
         sweep = subprocess.Popen(
             [sys.executable, "-m", f"imagination.{words[0]}", *words[1:]],
@@ -67,8 +75,62 @@ def test_a_killed_workers_task_is_retried(tmp_path: Path) -> None:
         assert sweep.wait(900) == 0, (tmp_path / "told").read_text()
     finally:
         sweep.kill()
-    complete = list(tmp_path.glob("outputs/chair_unet/multirun_*/*/tables/mapping.csv"))
-    assert len(complete) == 2
+    assert tables(tmp_path / "outputs") == tables(tmp_path / "alone") != {}
+
+
+@pytest.mark.slow
+def test_a_member_that_is_lost_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("ray")
+    monkeypatch.syspath_prepend(str(ROOT / "plugins" / "ray"))
+    from hydra_plugins.imagination_ray.launcher import RayLauncher
+
+    class Composer:  # defined here, so that it is sent to workers as a whole
+        def load_sweep_config(self, config: DictConfig, overrides: list[str]) -> DictConfig:
+            if overrides == ["killed"]:
+                os.kill(os.getpid(), signal.SIGKILL)
+            if overrides == ["late"]:
+                time.sleep(5)
+                (tmp_path / "late").touch()
+            raise ValueError(f"no config for {overrides}")
+
+    config = OmegaConf.create({"hydra": {"sweep": {"dir": "the_sweep"}}})
+    launcher = RayLauncher(None, num_cpus=0.1, num_gpus=0, max_retries=0)
+    context = HydraContext(Composer(), Callbacks())  # type: ignore[arg-type]
+    launcher.setup(hydra_context=context, task_function=print, config=config)
+    told = r"3 of 3 members failed: 0 \(killed\), 1 \(refused\), 2 \(late\);.*sweep_dir=the_sweep"
+    with pytest.raises(UserError, match=told):
+        launcher.launch([["killed"], ["refused"], ["late"]], 0)
+    assert (tmp_path / "late").is_file()
+
+
+@pytest.mark.slow
+def test_parts_of_a_corpus_are_rendered_on_ray(command: Command, tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    pytest.importorskip("litdata")
+    words = ["scale=test", "scale.homes.train=3", "views=8"]
+    spread = ["-m", "parts=2", "part=0,1", "hydra/launcher=ray"]
+    for folder, choice in (("alone", []), ("spread", spread)):
+        done = command("render", *choice, *words, f"+shards={folder}", timeout=600)
+        assert done.returncode == 0, done.stderr
+    alone, together = (
+        {path.name: path.read_bytes() for path in (tmp_path / folder).glob("chunk-*.bin")}
+        for folder in ("alone", "spread")
+    )
+    assert alone == together and len(alone) == 4  # three homes and the description
+    indexes = [json.loads((tmp_path / folder / "index.json").read_text()) for folder in ("alone", "spread")]
+    assert indexes[0]["chunks"] == indexes[1]["chunks"]
+
+
+@pytest.mark.slow
+def test_evaluations_on_ray_are_the_same_as_without(command: Command, tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    checkpoint = make_checkpoint(tmp_path / "chair.ckpt", "+experiment=chair_unet")
+    words = ["evaluate", "-m", f"ckpt={checkpoint}", "evaluation.cell_widths=[3.0],[2.5]"]
+    for outputs, choice in (("alone", []), ("spread", ["hydra/launcher=ray"])):
+        done = command(*words, *choice, f"paths.outputs={tmp_path / outputs}", timeout=600)
+        assert done.returncode == 0, done.stderr
+    alone, spread = tables(tmp_path / "alone"), tables(tmp_path / "spread")
+    assert alone == spread and {"0/tables/mapping.csv", "1/tables/mapping.csv"} <= alone.keys()
 
 
 def workers(ancestor: int) -> list[int]:

@@ -103,3 +103,11 @@ def test_messages_go_to_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "INFO x: hello" in text and "for the record" in text and "too late" not in text
     shown = capsys.readouterr().err
     assert "hello" in shown and "for the record" not in shown
+
+
+def test_a_log_that_cannot_be_written_ends_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    """On a full disk; what the work itself writes tells so."""
+    with runs.logging_to(Path("/dev/full")):
+        logging.getLogger("full").warning("told")
+    told = capfd.readouterr().err
+    assert "told" in told and "Traceback" not in told

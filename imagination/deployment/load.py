@@ -3,8 +3,10 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from imagination.errors import UserError
-from imagination.mapping.module import ImaginationModule, SideBySide
+from imagination.mapping.module import ImaginationModule, Observation, SideBySide
 
 
 def load(units: str | Path | Sequence[str | Path]) -> ImaginationModule:
@@ -14,8 +16,8 @@ def load(units: str | Path | Sequence[str | Path]) -> ImaginationModule:
         units: .onnx (runs on onnxruntime), .pt2 (torch.export) or .ckpt (a checkpoint of imagination.train).
 
     Raises:
-        UserError: if a file is missing, broken or of another kind, what runs it is not installed, or the units were
-            trained with different cameras or grids.
+        UserError: if a file is missing, broken or of another kind, what runs it is not installed, it does not answer as
+            a unit does, or the units were trained with different cameras or grids.
     """
     paths = [units] if isinstance(units, (str, Path)) else list(units)
     if not paths:
@@ -34,7 +36,30 @@ def _load(path: Path) -> ImaginationModule:
         raise UserError(f"unit: got {path}, expected a file that ends in one of: {', '.join(loaders)}")
     if not path.is_file():
         raise UserError(f"unit: got {path}, but there is no such file")
-    return loaders[path.suffix](path)
+    return _answering(loaders[path.suffix](path), path)
+
+
+def _answering(module: ImaginationModule, path: Path) -> ImaginationModule:
+    """The same, after it answered once: a unit that cannot is refused here, not while a robot drives.
+
+    Raises:
+        UserError: if it cannot, or answers something else than a map of each category.
+    """
+    told, cells = module.description, module.description.ego.cells
+    size = told.camera.height, told.camera.width
+    nothing = np.zeros((cells, cells), np.bool_)
+    blank = np.zeros((*size, 3), np.uint8), np.zeros(size, np.float32), nothing, nothing
+    try:
+        answer = module(Observation(*blank, told.camera.mount_height))
+    except Exception as error:  # whatever the broken part raises
+        raise UserError(f"{path}: does not take what a robot sees ({error}); export it again") from error
+    expected = np.dtype(np.float32), (len(told.categories), cells, cells)
+    if (answer.dtype, answer.shape) != expected:
+        raise UserError(
+            f"{path}: answers {answer.dtype} of shape {answer.shape}, expected {expected[0]} of {expected[1]}; "
+            "export it again"
+        )
+    return module
 
 
 def _onnx(path: Path) -> ImaginationModule:

@@ -37,13 +37,15 @@ class OnnxModule:
             self._session = onnxruntime.InferenceSession(
                 path.read_bytes(), options, providers=["CPUExecutionProvider"]
             )
-        except Exception as error:  # onnxruntime's errors have no common type that it exports
+            metadata = self._session.get_modelmeta().custom_metadata_map
+            self._inputs = {node.name for node in self._session.get_inputs()}
+        except (
+            Exception
+        ) as error:  # onnxruntime's errors have no common type that it exports; names may be no text
             raise UserError(f"{path}: cannot be read as ONNX ({error}); export it again") from error
-        metadata = self._session.get_modelmeta().custom_metadata_map
         if KEY not in metadata:
             raise UserError(f"{path}: was not written by imagination.export")
         self.description = Description.from_json(metadata[KEY], str(path))
-        self._inputs = {node.name for node in self._session.get_inputs()}
 
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
         feed = {name: array for name, array in arrays(observation).items() if name in self._inputs}

@@ -1,6 +1,9 @@
 """Units that run on torch: checkpoints as training wrote them, and programs of torch.export."""
 
+import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -95,8 +98,7 @@ class ExportedModule:
     def __init__(self, path: Path) -> None:
         extra = {ENTRY: ""}
         try:
-            with warnings.catch_warnings():  # torch's own, about how it reads its files
-                warnings.simplefilter("ignore")
+            with _silence():
                 program = torch.export.load(path, extra_files=extra)
         except Exception as error:  # torch raises whatever the broken part makes it raise
             raise UserError(
@@ -110,6 +112,20 @@ class ExportedModule:
     @torch.inference_mode()
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
         return _run(self._run, observation)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Leave out what torch warns of and logs when it reads a file: what it raises says enough."""
+    log = logging.getLogger("torch.export")
+    before = log.disabled
+    log.disabled = True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.disabled = before
 
 
 def describe(config: DictConfig) -> Description:

@@ -26,19 +26,23 @@ numpy alone: `np.load(path, allow_pickle=False)`.
 
 from pathlib import Path
 from typing import NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from imagination.errors import UserError
+from imagination.errors import UserError, check_range
 from imagination.evaluation.outcome import Example
 from imagination.evaluation.runs import Run
+from imagination.evaluation.selection import THRESHOLDS
 from imagination.geometry.grid import Grid
 from imagination.runs import replacing
 
 FOLDER = "maps"
 """Beside tables/ and figures/."""
+
+
+FARTHEST = 10_000
+"""Metres from a map's corner to a view of it, at most, and radians of a heading."""
 
 
 class SavedMaps(NamedTuple):
@@ -117,13 +121,50 @@ def load(path: Path) -> SavedMaps:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
-        run = Run(str(arrays.pop("home")), float(arrays.pop("cell_width")), int(arrays.pop("number")))
+        width = check_range("cell_width", float(arrays.pop("cell_width")), 0.0, 1e3, "m")
+        run = Run(str(arrays.pop("home")), width, int(arrays.pop("number")))
         x, y = arrays.pop("origin").tolist()
         rows, columns = arrays["seen"].shape
-        grid = Grid(float(arrays.pop("resolution")), rows, columns, (x, y))
+        grid = Grid(
+            check_range("resolution", float(arrays.pop("resolution")), 0.005, 1.0), rows, columns, (x, y)
+        )
         names = {name: arrays.pop(name).tolist() for name in ("approaches", "categories")}
-        return SavedMaps(run, **names, **arrays, grid=grid)
+        return _checked(SavedMaps(run, **names, **arrays, grid=grid))
     except FileNotFoundError as error:
         raise UserError(f"maps: got {path}, but there is no such file") from error
-    except (BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
-        raise UserError(f"maps {path}: is damaged or no file of maps; evaluate again to make it") from error
+    except Exception as error:  # zip, zlib and NumPy raise anything on a damaged file
+        raise UserError(
+            f"maps {path}: is damaged or no file of maps ({error}); evaluate again to make it"
+        ) from error
+
+
+def _checked(maps: SavedMaps) -> SavedMaps:
+    """The same, if its arrays are as the module's description has them.
+
+    Raises:
+        UserError: with the first that is not.
+    """
+    for names in (maps.approaches, maps.categories):
+        if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+            raise UserError(f"approaches or categories: got {names}, expected each name once")
+    over, shape = (len(maps.approaches), len(maps.categories)), maps.grid.shape
+    expected = {
+        "level": ("uint8", (*over, *shape)),
+        "threshold": ("uint8", over),
+        "truth": ("bool", (over[1], *shape)),
+        "present": ("bool", over[1:]),
+        "seen": ("bool", shape),
+        "occupied": ("bool", shape),
+        "poses": ("float64", (len(maps.poses), 3)),
+    }
+    for name, (kind, size) in expected.items():
+        array = getattr(maps, name)
+        if (array.dtype, array.shape) != (np.dtype(kind), size):
+            raise UserError(f"{name}: got {array.dtype} of shape {array.shape}, expected {kind} of {size}")
+    if maps.level.max(initial=0) > len(THRESHOLDS):
+        raise UserError(f"level: got {maps.level.max()}, expected at most {len(THRESHOLDS)}")
+    x, y = maps.grid.origin
+    reach = maps.poses[:, :2] - (x, y)
+    if not (np.abs([*reach.flat, *maps.poses[:, 2]]) <= FARTHEST).all():  # not a number is no less
+        raise UserError(f"poses: got numbers beyond {FARTHEST}, or none, from the origin {x}, {y}")
+    return maps

@@ -3,12 +3,11 @@
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from imagination.errors import UserError
+from imagination.errors import UserError, check_range
 from imagination.evaluation.metrics import count, iou
 from imagination.evaluation.outcome import Choices
 from imagination.evaluation.protocol import MappingProtocol, Subject, homes_with
@@ -285,9 +284,32 @@ def load(path: Path) -> tuple[list[SingleView], float]:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
-        return from_arrays(arrays), float(arrays["resolution"])
-    except (BadZipFile, EOFError, KeyError, TypeError, ValueError, IndexError) as error:
-        raise UserError(f"single views {path}: is damaged; evaluate again to make it") from error
+        views = [_checked(view) for view in from_arrays(arrays)]
+        return views, check_range("resolution", float(arrays["resolution"]), 0.005, 1.0)
+    except Exception as error:  # zip, zlib and NumPy raise anything on a damaged file
+        raise UserError(f"single views {path}: is damaged ({error}); evaluate again to make it") from error
+
+
+def _checked(view: SingleView) -> SingleView:
+    """The same, if its arrays are what they should be.
+
+    Raises:
+        UserError: with the first that is not.
+    """
+    size = view.label.shape[0]
+    maps = {"seen": view.seen, "occupied": view.occupied, "label": view.label, **view.predicted}
+    expected = [
+        ("rgb", view.rgb, "uint8", (*view.rgb.shape[:2], 3)),
+        ("probabilities", view.probabilities, "float32", (size, size)),
+        *((name, array, "bool", (size, size)) for name, array in maps.items()),
+    ]
+    for name, array, kind, shape in expected:
+        if (array.dtype, array.shape) != (np.dtype(kind), shape) or not array.size:
+            raise UserError(f"{name}: got {array.dtype} of shape {array.shape}, expected {kind} of {shape}")
+    names = [view.rank, view.category, view.home, *view.predicted]
+    if not view.predicted or not all(isinstance(name, str) for name in names):
+        raise UserError(f"rank, category, home, approaches: got {names}, expected names")
+    return view
 
 
 def _item(value: Any) -> Any:

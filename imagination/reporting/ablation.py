@@ -5,12 +5,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
 
-import yaml
-
 from imagination.evaluation.metrics import CONFIDENCE, interval
 from imagination.evaluation.outcome import Key
 from imagination.evaluation.single_views import ranked_by
 from imagination.evaluation.style import label
+from imagination.reporting.config import read_yaml
 from imagination.reporting.content import Content, Drawing, Plain, Section, as_yaml, facts, trainings
 from imagination.reporting.layout import Cell, Column, Layout, Line, bootstrap, cell_of, strengthened
 from imagination.reporting.multirun import Member, Multirun
@@ -150,10 +149,10 @@ def _commands(sweep: Multirun, first: Results) -> list[str]:
     """What an evaluation's networks were trained with, the sweep as its multirun.yaml has it, and the report."""
     report = shlex.join(["python", "-m", "imagination.report", str(sweep.folder)])
     try:
-        asked = yaml.safe_load((sweep.folder / "multirun.yaml").read_text())["hydra"]
+        asked = read_yaml(sweep.folder / "multirun.yaml")["hydra"]
         given = [text for text in asked["overrides"]["task"] if not text.startswith("sweep_dir=")]
         swept = shlex.join(["python", "-m", f"imagination.{asked['job']['name']}", "-m", *given])
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+    except Exception:  # missing or damaged
         told = str(first.provenance.get("command", "")).split()  # a search leaves no such file
         swept = " ".join(text for text in told if "sweep_dir=" not in text)
         swept = swept if "imagination.train" in swept or "imagination.evaluate" in swept else ""

@@ -1,5 +1,6 @@
 """What a report shows of one run: tables, figures and how to make it again, apart from how a page is set."""
 
+import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -30,12 +31,17 @@ MOST_ROWS = 200
 
 
 class Drawing(NamedTuple):
-    """A figure: the stem of its files, what it shows, and what draws it; `wide` ones keep their size on a phone."""
+    """A figure: its name, what it shows, and what draws it; `wide` ones keep their size on a phone."""
 
     stem: str
     caption: str
     draw: Callable[[], Figure]
     wide: bool = False
+
+    @property
+    def file(self) -> str:
+        """Name of its files without their endings: categories come from tables, and may hold anything."""
+        return re.sub(r"[^\w.+-]", "_", self.stem)[:50]
 
 
 class Plain(NamedTuple):

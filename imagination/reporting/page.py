@@ -2,12 +2,15 @@
 
 import base64
 from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
+import matplotlib as mpl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from imagination.evaluation import figures, style
 from imagination.reporting import layout
@@ -46,10 +49,10 @@ def write_tables(folder: Path, content: Content) -> None:
 def write_figures(folder: Path, content: Content, kinds: tuple[str, ...] = ("png", "pdf")) -> None:
     """Each figure as files, for a light page."""
     for drawing in drawings(content):
-        with style.theme("light"):
+        with themed("light"):
             figure = drawing.draw()
             for kind in kinds:
-                figures.save(figure, folder / f"{drawing.stem}.{kind}")
+                figures.save(figure, folder / f"{drawing.file}.{kind}")
 
 
 def drawings(content: Content) -> Iterator[Drawing]:
@@ -82,13 +85,27 @@ def picture(drawing: Drawing) -> Markup:
     """A figure in both themes, as an element of the page."""
     found = {}
     for name in style.THEMES:
-        with style.theme(name):
-            figure, file = drawing.draw(), BytesIO()
-            FigureCanvasAgg(figure)
-            figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
-            found[name] = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
-            width, height = (figure.get_size_inches() * 96).round().astype(int).tolist()
+        figure, content = png(drawing, name, DPI)
+        found[name] = f"data:image/png;base64,{base64.b64encode(content).decode()}"
+        width, height = (figure.get_size_inches() * 96).round().astype(int).tolist()
     return Markup(  # Markup escapes what it formats
         '<picture><source media="(prefers-color-scheme: dark)" srcset="{}">'
         '<img src="{}" alt="{}" width="{}" height="{}"></picture>'
     ).format(found["dark"], found["light"], drawing.caption, width, height)
+
+
+def png(drawing: Drawing, theme: str, dpi: int) -> tuple[Figure, bytes]:
+    """A figure, and its picture as PNG."""
+    file = BytesIO()
+    with themed(theme):
+        figure = drawing.draw()
+        FigureCanvasAgg(figure)
+        figure.savefig(file, format="png", dpi=dpi, metadata={"Software": None})
+    return figure, file.getvalue()
+
+
+@contextmanager
+def themed(name: str) -> Iterator[None]:
+    """Draw and save figures for a light or a dark page; names from tables are text, whatever signs they hold."""
+    with style.theme(name), mpl.rc_context({"text.parse_math": False}):
+        yield

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from jaxtyping import Int64
 
-from imagination.errors import UserError
+from imagination.errors import UserError, check_range
 from imagination.evaluation import map_files, single_views
 from imagination.evaluation.map_files import SavedMaps
 from imagination.evaluation.metrics import count
@@ -23,9 +22,16 @@ from imagination.evaluation.report import PROVENANCE
 from imagination.evaluation.runs import Run
 from imagination.evaluation.selection import THRESHOLDS
 from imagination.evaluation.single_views import SingleView
+from imagination.reporting.config import at, check_number, read_config
 from imagination.runs import CONFIG
 
 log = logging.getLogger(__name__)
+
+MOST_RESAMPLES = 100_000
+"""Beyond, intervals no longer change, and take long."""
+
+MOST_PIXELS = 10**12
+"""Of a count: sums of many stay exact."""
 
 Row = dict[str, str]
 
@@ -58,20 +64,14 @@ class Results:
         return str(self.config.get("name", self.folder.name))
 
     @property
-    def scale(self) -> Mapping[str, Any]:
-        found: Mapping[str, Any] = self.config.get("scale") or {}
-        return found
-
-    @property
     def source(self) -> str:
         """Name of the scene source's class."""
-        scenes = (self.config.get("data") or {}).get("scenes") or {}
-        return str(scenes.get("_target_", "homes")).rpartition(".")[2]
+        return str(at(self.config, "data.scenes._target_") or "homes").rpartition(".")[2]
 
     @property
     def predicts(self) -> str:
         """What a run's network gives: egocentric "maps", or first-person "images"."""
-        return str((self.config.get("model") or {}).get("predicts", ""))
+        return str(at(self.config, "model.predicts") or "")
 
     @property
     def homes(self) -> list[str]:
@@ -81,24 +81,23 @@ class Results:
     @property
     def homes_asked(self) -> int | None:
         """How many homes the test split has; None where the scene source alone knows."""
-        scenes = (self.config.get("data") or {}).get("scenes") or {}
-        asked: int | None = (scenes.get("splits") or {}).get("test")
+        asked: int | None = at(self.config, "data.scenes.splits.test")
         return asked
 
     @property
     def resolution(self) -> float:
         """Metres per cell."""
-        return float(self.scale.get("resolution", "nan"))
+        return float(at(self.config, "scale.resolution") or "nan")
 
     @property
     def resamples(self) -> int:
         """Bootstrap resamples of homes."""
-        return int((self.config.get("evaluation") or {}).get("resamples", 2000))
+        return min(int(at(self.config, "evaluation.resamples") or 2000), MOST_RESAMPLES)
 
     @property
     def seed(self) -> int:
         """Of the bootstrap."""
-        return int((self.config.get("evaluation") or {}).get("seed", 0))
+        return int(at(self.config, "evaluation.seed") or 0)
 
     @cached_property
     def counts(self) -> dict[Key, Runs]:
@@ -145,7 +144,7 @@ class Results:
     def provenance(self) -> dict[str, Any]:
         """Command, seed, hardware, seconds and sensor of the evaluation, where they were written."""
         path = self.folder / "tables" / PROVENANCE
-        return (path.is_file() and self._tell(_json, path)) or {}
+        return (path.is_file() and self._tell(read_provenance, path)) or {}
 
     def table(self, name: str) -> list[Row]:
         """A table of the folder; without rows where it is not there."""
@@ -160,8 +159,8 @@ class Results:
             return [self]
         found = []
         for path in [given] if isinstance(given, str) else given:
-            with suppress(UserError):  # moved, deleted or damaged
-                found.append(Results(Path(path).parent.parent))
+            with suppress(UserError, OSError):  # moved, deleted or damaged
+                found.append(Results(Path(str(path)).parent.parent))
         return found
 
     @property
@@ -171,7 +170,7 @@ class Results:
     @property
     def left_out(self) -> list[str]:
         """Approaches of the config that were not evaluated, since no network for them was given."""
-        asked = (self.config.get("evaluation") or {}).get("approaches") or {}
+        asked = at(self.config, "evaluation.approaches") or {}
         return [name for name in asked if name not in self.approaches]
 
     @property
@@ -191,29 +190,9 @@ class Results:
         """What `read` makes of a file; None, and the file named in `problems`, if it is damaged."""
         try:
             return read(path)
-        except (UserError, OSError, ValueError, KeyError, EOFError, UnicodeDecodeError, csv.Error) as error:
+        except Exception as error:  # readers raise anything on a damaged file
             self.problems.append(f"{path.relative_to(self.folder)} is damaged and left out ({error})")
             return None
-
-
-def read_config(path: Path) -> dict[str, Any]:
-    """A run's resolved config.
-
-    Raises:
-        UserError: if there is none, or it is damaged.
-    """
-    if not path.is_file():
-        raise UserError(
-            f"report: got {path.parent}, expected the folder of a run, an evaluation or a sweep, which holds "
-            f"{path.name} or numbered folders that do; such as outputs/chair_unet/latest"
-        )
-    try:
-        config = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"config {path}: is damaged ({error})") from error
-    if not isinstance(config, dict):
-        raise UserError(f"config {path}: is damaged: got {type(config).__name__}, expected keys and values")
-    return config
 
 
 def read_csv(path: Path) -> list[Row]:
@@ -231,11 +210,15 @@ def read_csv(path: Path) -> list[Row]:
 
 
 def read_counts(path: Path) -> dict[Key, Runs]:
-    """The counts in a runs.csv."""
+    """The counts in a runs.csv.
+
+    Raises:
+        ValueError: if they are none.
+    """
     counts: dict[Key, Runs] = {}
     for row in read_csv(path):
-        key = Key(row["approach"], row["category"], float(row["cell_width"]))
-        pixels = [int(row[column]) for column in ("correct_pixels", "false_pixels", "truth_pixels")]
+        key = Key(row["approach"], row["category"], _width(row))
+        pixels = _counts(row, "pixels")
         counts.setdefault(key, {})[row["home"], int(row["viewpoint_set"])] = np.array(pixels, np.int64)
     return counts
 
@@ -244,24 +227,39 @@ def read_tallies(path: Path) -> dict[tuple[str, str, str], Tally]:
     """The counts in a thresholds.csv.
 
     Raises:
-        ValueError: if a threshold is missing.
+        ValueError: if they are none, or a threshold is missing.
     """
     found: dict[tuple[str, str, str], list[list[int]]] = {}
     for row in read_csv(path):
-        counts = [int(row[column]) for column in ("correct_cells", "false_cells", "truth_cells")]
-        found.setdefault((row["approach"], row["cells"], row["category"]), []).append(counts)
+        found.setdefault((row["approach"], row["cells"], row["category"]), []).append(_counts(row, "cells"))
     if any(len(rows) != len(THRESHOLDS) for rows in found.values()):
         raise ValueError(f"expected {len(THRESHOLDS)} thresholds each")
     return {key: np.array(rows, np.int64) for key, rows in found.items()}
 
 
 def read_by_cells(path: Path) -> dict[Key, tuple[float, float]]:
-    """IoU in seen and in unseen cells of a mapping.csv."""
+    """IoU in seen and in unseen cells of a mapping.csv.
+
+    Raises:
+        ValueError: if they are none.
+    """
     return {
-        Key(row["approach"], row["category"], float(row["cell_width"])):
+        Key(row["approach"], row["category"], _width(row)):
         (float(row["iou_seen"]), float(row["iou_unseen"]))
         for row in read_csv(path)
     }  # fmt: skip
+
+
+def _width(row: Row) -> float:
+    return check_range("cell_width", float(row["cell_width"]), 0.0, 1e3, "m")
+
+
+def _counts(row: Row, what: str) -> list[int]:
+    """Correct, false and truth pixels or cells of a row."""
+    correct, false, truth = found = [int(row[f"{name}_{what}"]) for name in ("correct", "false", "truth")]
+    if not (0 <= correct <= truth <= MOST_PIXELS and 0 <= false <= MOST_PIXELS):
+        raise ValueError(f"got {correct} correct, {false} false and {truth} truth {what}")
+    return found
 
 
 def recount(maps: Sequence[SavedMaps]) -> dict[Key, Runs]:
@@ -290,8 +288,7 @@ def missing_runs(counts: Mapping[Key, Runs], config: Mapping[str, Any]) -> list[
     """Which runs a config asks for that are not there, one line for each approach, category and cell width."""
     if not counts:
         return []  # said already
-    evaluation = config.get("evaluation") or {}
-    sets = range(int(evaluation.get("viewpoint_sets", 0)))
+    sets = range(int(at(config, "evaluation.viewpoint_sets") or 0))
     told = []
     for category in config.get("unit_categories") or []:
         of_category = [runs for key, runs in counts.items() if key.category == category]
@@ -299,7 +296,7 @@ def missing_runs(counts: Mapping[Key, Runs], config: Mapping[str, Any]) -> list[
         if not homes:
             told.append(f"{category}: no run of any approach")
         measured = dict.fromkeys(key.approach for key in counts)
-        for width, approach in product(evaluation.get("cell_widths") or [], measured):
+        for width, approach in product(at(config, "evaluation.cell_widths") or [], measured):
             runs = counts.get(Key(approach, category, float(width)), {})
             if lost := [(home, number) for home in homes for number in sets if (home, number) not in runs]:
                 names = ", ".join(f"{home} set {number}" for home, number in lost[:3])
@@ -324,8 +321,14 @@ def missing_maps(counts: Mapping[Key, Runs], maps: Sequence[SavedMaps]) -> list[
     return [f"maps/: those of {len(lost)} of {len(counted)} runs are missing ({names}{more})"]
 
 
-def _json(path: Path) -> dict[str, Any]:
+def read_provenance(path: Path) -> dict[str, Any]:
+    """What a provenance.json says.
+
+    Raises:
+        ValueError: if it is none.
+    """
     found = json.loads(path.read_text())
     if not isinstance(found, dict):
         raise ValueError(f"got {type(found).__name__}, expected keys and values")
+    check_number("seconds", found.get("seconds", 0.0), 0.0, 1e9)
     return found

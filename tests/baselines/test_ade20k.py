@@ -1,12 +1,13 @@
 """Public weights: the layout's names written down from its description, each tensor found again in its place."""
 
+import zipfile
 from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
-from imagination.baselines.ade20k import CLASSES, PublicHRNet
+from imagination.baselines.ade20k import CLASSES, PublicHRNet, read
 from imagination.categories import CategoryTable
 from imagination.config import compose
 from imagination.errors import UserError
@@ -164,6 +165,29 @@ def test_files_that_are_missing_or_no_weights_are_refused(tmp_path: Path) -> Non
     torch.save({"weights": Path("x")}, tmp_path / "decoder_epoch_30.pth")
     with pytest.raises(UserError, match="holds more than weights"):
         PublicHRNet.load(tmp_path, table(), CAMERA)
+
+
+@pytest.mark.parametrize("part", ["encoder", "decoder"])
+def test_damage_that_torch_does_not_foresee_is_refused(tmp_path: Path, part: str) -> None:
+    """Its reader pops from empty lists, asserts and unpacks; checksums of the archive may fit."""
+    write(tmp_path, part, {"conv1.weight": (1,)})
+    path = tmp_path / f"{part}_epoch_30.pth"
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    place = next(name for name in members if name.endswith("data.pkl"))
+    content = members[place]
+    for damaged in (content[2:3] + content[1:], b"e" + content, content[:-40] + content[-39:], b""):
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, data in {**members, place: damaged}.items():
+                archive.writestr(name, data)
+        with pytest.raises(UserError, match=f"{part}_epoch_30.pth"):
+            read(tmp_path, part)
+
+
+def test_names_that_are_none_are_refused(tmp_path: Path) -> None:
+    torch.save({1: torch.zeros(1)}, tmp_path / "encoder_epoch_30.pth")
+    with pytest.raises(UserError, match="holds no state dict"):
+        read(tmp_path, "encoder")
 
 
 def test_a_class_that_does_not_exist_is_refused() -> None:

@@ -1,9 +1,13 @@
 """Corpora as shards: written home by home, gone on with, streamed into the same training."""
 
+import fcntl
 import json
-from dataclasses import replace
+import os
+import shutil
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from signal import SIGKILL
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -14,10 +18,13 @@ from imagination.config import compose
 from imagination.data import shards
 from imagination.data.shards import INDEX, Recipe, ShardCollector, Shards
 from imagination.errors import UserError
+from imagination.scenes.scene import Scene, Split
+from imagination.scenes.sensor import IdealSensor
 from imagination.views.collector import Views, look
 from imagination.views.samplers import UniformPoses
 from tests.conftest import Command
 from tests.data.test_collecting import observer, same
+from tests.rooms import tiny_room
 from tests.sources import Rooms
 
 pytest.importorskip("litdata")
@@ -85,7 +92,7 @@ def test_damage_and_absence_are_told(corpus: Path, tmp_path: Path) -> None:
     content[len(content) // 2] ^= 1
     chunk.write_bytes(bytes(content))
     read = opened(tmp_path)
-    with pytest.raises(UserError, match=r"is damaged; remove chunk-train_1.bin"):
+    with pytest.raises(UserError, match=r"is damaged, remove chunk-train_1.bin"):
         [read.read("train_1", number) for number in range(6)]
     read.read("train_2", 0)
     with pytest.raises(UserError, match=f"there is no {INDEX}"):
@@ -129,10 +136,134 @@ def test_a_missing_extra_names_the_command(monkeypatch: pytest.MonkeyPatch, corp
 class Attic(Rooms):
     """Rooms of which one is broken."""
 
-    def load(self, scene: str) -> Any:
+    def load(self, scene: str) -> Scene:
         if scene == "train_1":
             raise OSError("its roof is missing")
         return super().load(scene)
+
+
+@dataclass(frozen=True)
+class Noisy(IdealSensor):
+    """Another sensor."""
+
+
+def copy(corpus: Path, folder: Path) -> Path:
+    return Path(shutil.copytree(corpus, folder / "copy"))
+
+
+def test_homes_made_with_other_settings_are_refused(corpus: Path, tmp_path: Path) -> None:
+    folder, told = copy(corpus, tmp_path), r"made with sensor .*IdealSensor.* but the config asks for .*Noisy"
+    watcher = observer(tmp_path, Rooms(2))  # which knows but two of the homes
+    assert shards.unwritten(folder, watcher, HOMES[:2], RECIPE) == []
+    assert len(shards.write_index(folder, watcher, RECIPE)["homes"]) == 5
+    before = (folder / INDEX).read_bytes()
+    noisy = replace(watcher, sensor=Noisy())
+    with pytest.raises(UserError, match=told):  # before any is rendered
+        shards.unwritten(folder, noisy, HOMES[:2], RECIPE)
+    shards.write_home(noisy, "train_0", folder, RECIPE)
+    with pytest.raises(UserError, match=told):
+        shards.write_index(folder, noisy, RECIPE)
+    with pytest.raises(UserError, match=r"made with seed 1, but the config asks for 2"):
+        shards.write_index(copy(corpus, tmp_path / "seeds"), watcher, replace(RECIPE, seed=2))
+    assert (folder / INDEX).read_bytes() == before
+
+
+def test_a_home_that_changed_and_fails_now_leaves_the_corpus(corpus: Path, tmp_path: Path) -> None:
+    class Rebuilt(Attic):
+        def fingerprint(self, scene: str) -> str:
+            return f"{super().fingerprint(scene)} {scene == 'train_1'}"
+
+    folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rebuilt(5))
+    for home in HOMES:
+        if home != "train_1":
+            shards.write_home(watcher, home, folder, RECIPE)
+    assert shards.unwritten(folder, watcher, HOMES, RECIPE) == ["train_1"]
+    assert dict(shards.write_homes(watcher, ["train_1"], folder, RECIPE, 0)) == {
+        "train_1": "OSError: its roof is missing"
+    }
+    shards.write_index(folder, watcher, RECIPE)
+    assert list(opened(folder).homes) == ["train_0", "train_2", "train_3", "train_4"]
+
+
+@pytest.mark.parametrize("content", ["", '{"scene": "train_1"}', "[1]", "\x00"])
+def test_a_home_whose_record_is_damaged_is_written_again(
+    corpus: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, content: str
+) -> None:
+    folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rooms(5))
+    (folder / "train_1.record.json").write_text(content)
+    (folder / "chunk-train_3.bin").unlink()
+    assert shards.unwritten(folder, watcher, HOMES, RECIPE) == ["train_1", "train_3"]
+    assert "train_1.record.json cannot be read" in caplog.text
+    shards.write_index(folder, watcher, RECIPE)
+    assert list(opened(folder).homes) == ["train_0", "train_2", "train_4"]
+
+
+def test_a_corpus_behind_a_url_may_grow(corpus: Path, tmp_path: Path) -> None:
+    folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rooms(6))
+    url = f"local://{folder}", str(tmp_path / "kept"), "1GB"  # litdata fetches it as it would from s3://
+    assert same(Shards(*url).read("train_3", 4), opened(corpus).read("train_3", 4))
+    assert list((tmp_path / "kept").rglob("chunk-train_3.bin"))
+    shards.write_home(watcher, "train_5", folder, RECIPE)
+    shards.write_index(folder, watcher, RECIPE)
+    grown = Shards(*url)
+    assert list(grown.homes) == [*HOMES, "train_5"]
+    assert same(grown.read("train_5", 0), opened(folder).read("train_5", 0))
+
+
+def test_an_index_lists_all_that_was_there_when_it_is_written(corpus: Path, tmp_path: Path) -> None:
+    folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rooms(5))
+    record = folder / "train_4.record.json"
+    content = record.read_text()
+    record.unlink()
+    before = (folder / INDEX).read_bytes()
+    with open(folder / shards.LOCK, "a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # as another job that writes the index
+        late = Thread(target=shards.write_index, args=(folder, watcher, RECIPE))
+        late.start()
+        late.join(0.5)
+        assert late.is_alive() and (folder / INDEX).read_bytes() == before
+        record.write_text(content)
+    late.join(30)
+    assert list(opened(folder).homes) == HOMES
+
+
+@dataclass(frozen=True)
+class Paths(Rooms):
+    """A home whose name is a path."""
+
+    def scenes(self, split: Split) -> list[str]:
+        return ["homes/my house.glb", "homes/my_house.glb"]
+
+    def load(self, scene: str) -> Scene:
+        return tiny_room()
+
+
+def test_a_home_may_be_named_by_a_path(tmp_path: Path) -> None:
+    watcher, folder = observer(tmp_path / "cache", Paths()), tmp_path / "corpus"
+    homes = Paths().scenes("train")
+    assert dict(shards.write_homes(watcher, homes, folder, RECIPE, 0)) == dict.fromkeys(homes, "")
+    shards.write_index(folder, watcher, RECIPE)
+    assert sorted(opened(folder).homes) == homes
+    assert {path.parent for path in tmp_path.rglob("*.record.json")} == {folder}
+
+
+class Deadly(Rooms):
+    """Rooms of which one takes its process with it."""
+
+    def load(self, scene: str) -> Scene:
+        if scene == "train_1":
+            os.kill(os.getpid(), SIGKILL)
+        return super().load(scene)
+
+
+def test_a_home_that_kills_its_worker_is_left_out(tmp_path: Path) -> None:
+    watcher, folder = observer(tmp_path / "cache", Deadly(4)), tmp_path / "corpus"
+    homes = Deadly(4).scenes("train")
+    problems = dict(shards.write_homes(watcher, homes, folder, RECIPE, workers=2))
+    assert set(problems) == set(homes) and "was killed" in problems.pop("train_1")
+    assert not any(problems.values())
+    shards.write_index(folder, watcher, RECIPE)
+    assert list(opened(folder).homes) == ["train_0", "train_2", "train_3"]
 
 
 WRITE = ["scale=test", "scale.homes.train=3", "views=8", "+shards=corpus"]

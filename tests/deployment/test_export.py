@@ -1,8 +1,10 @@
 """Exported units answer as PyTorch does, on real views, and run without torch."""
 
 import json
+import logging
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +159,41 @@ def test_what_is_no_unit_is_refused(files: Path, tmp_path: Path) -> None:
         load([])
     with pytest.raises(UserError, match="got the categories"):
         load([files / "chair.onnx", files / "chair.ckpt"])
+
+
+def doubled(content: bytes) -> bytes:
+    """A unit that gives each of its maps twice."""
+    model = onnx.load_from_string(content)
+    model.graph.node.append(onnx.helper.make_node("Concat", ["probabilities"] * 2, ["both"], axis=1))
+    del model.graph.output[:]
+    model.graph.output.append(onnx.helper.make_tensor_value_info("both", onnx.TensorProto.FLOAT, None))
+    return bytes(model.SerializeToString())
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda content: content.replace(b"occupied", b"colour__"), "does not take what a robot sees"),
+        (doubled, r"answers float32 of shape \(2, 31, 31\), expected float32 of \(1, 31, 31\)"),
+        (lambda content: content.replace(b"occupied", b"\xffccupied"), "cannot be read as ONNX"),
+    ],
+    ids=["another input", "another answer", "a name that is no text"],
+)
+def test_a_unit_that_does_not_answer_as_one_is_refused(
+    files: Path, tmp_path: Path, change: Callable[[bytes], bytes], told: str
+) -> None:
+    """Before a robot drives with it."""
+    (tmp_path / "strange.onnx").write_bytes(change((files / "chair.onnx").read_bytes()))
+    with pytest.raises(UserError, match=told):
+        load(tmp_path / "strange.onnx")
+
+
+def test_a_broken_program_gets_one_message(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """torch logs a traceback of its own."""
+    (tmp_path / "noise.pt2").write_bytes(bytes(1000))
+    with pytest.raises(UserError, match="cannot be read as a program"):
+        load(tmp_path / "noise.pt2")
+    assert caplog.records == [] and not logging.getLogger("torch.export").disabled
 
 
 def test_a_missing_onnxruntime_says_what_to_install(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -137,7 +137,9 @@ def test_what_a_map_of_fixed_size_cannot_start_from_is_told() -> None:
     layer = np.zeros((60, 60), np.int8)
     layer[:10] = -1
     start = LoadedLayer(Grid(0.12, 60, 60, (0.0, 0.0)), layer)
-    with pytest.warns(UserWarning, match="start: 1500 of its 3000 known cells lie outside the map of fixed size"):
+    with pytest.warns(
+        UserWarning, match="start: 1500 of its 3000 known cells lie outside the map of fixed size"
+    ):
         SemanticMapper(Toy(), start=start, grid=Grid(0.12, 60, 30, (0.0, 0.0)))
 
 

@@ -102,7 +102,9 @@ def test_what_was_swept_is_found_in_configs_that_name_no_choices(sweep: Path) ->
     ]  # a search's page has its own
     for path in sweep.glob("*/config.yaml"):
         config = yaml.safe_load(path.read_text())
-        path.write_text(yaml.safe_dump({**config, "choices": [], "sweep_dir": f"multirun_{path.parent.name}"}))
+        path.write_text(
+            yaml.safe_dump({**config, "choices": [], "sweep_dir": f"multirun_{path.parent.name}"})
+        )
     found = Multirun(sweep)
     assert sorted(found.swept) == ["data.delta", "model.alpha_max"] or sorted(found.swept) == [
         "kernels.imaginable",

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import cv2
 import pytest
+from matplotlib.figure import Figure
 
 from imagination.report import main, read
 from imagination.reporting import page
+from imagination.reporting.content import Content, Drawing, Section
 from tests.conftest import Command
 from tests.reporting.folders import make_folder
 
@@ -92,6 +94,26 @@ def test_an_incomplete_folder_is_marked(folder: Path, tmp_path: Path) -> None:
     text = page.html(read(copy))
     assert '<div class="problems"' in text and "runs missing" in text and "maps/ is missing" in text
     assert '<div class="problems"' not in (folder / "report.html").read_text()
+
+
+def test_names_from_tables_lead_nowhere(tmp_path: Path) -> None:
+    """Categories become names of files."""
+    evil = Drawing("single_/../../../x", "A caption.", Figure)
+    long = Drawing("ö" * 300, "Another.", Figure)
+    content = Content("made", [], [], [Section("Figures", drawings=(evil, long))], [], "")
+    page.write_figures(tmp_path / "run" / "figures", content, kinds=("png",))
+    written = {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()}
+    folder = Path("run") / "figures"
+    assert written == {folder / "single__.._.._.._x.png", folder / f"{'ö' * 50}.png"}
+
+
+def test_names_with_signs_of_formulas_are_drawn_as_text() -> None:
+    def draw() -> Figure:
+        figure = Figure()
+        figure.text(0.5, 0.5, r"$\frac$")
+        return figure
+
+    assert page.png(Drawing("a", "", draw), "light", 20)[1].startswith(b"\x89PNG")
 
 
 def test_a_page_for_the_docs(folder: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from tensorboard.compat.proto.event_pb2 import Event
@@ -12,7 +13,7 @@ from tensorboard.summary.writer.event_file_writer import EventFileWriter
 from imagination.errors import UserError
 from imagination.report import read
 from imagination.reporting.page import drawings
-from imagination.reporting.results import Results
+from imagination.reporting.results import MOST_RESAMPLES, Results
 from tests.reporting.folders import make_config, make_folder
 
 
@@ -71,6 +72,123 @@ def test_damaged_files_are_named_and_the_rest_is_shown(tmp_path: Path, name: str
     content = read(folder)
     assert any(name in problem and "damaged" in problem for problem in content.problems), content.problems
     assert any(section.layouts for section in content.sections)
+
+
+@pytest.mark.parametrize("name", ["maps/test_0000_3m_0.npz", "single_views.npz"])
+def test_a_single_wrong_bit_is_named(tmp_path: Path, name: str) -> None:
+    """In compressed data zlib finds some of them, where it raises errors of its own."""
+    folder = make_folder(tmp_path / "run")
+    whole = (folder / name).read_bytes()
+    named = 0
+    for place in range(60, len(whole), 397):  # in headers of the archive some change nothing
+        (folder / name).write_bytes(whole[:place] + bytes([whole[place] ^ 8]) + whole[place + 1 :])
+        results = Results(folder)
+        there = len(results.maps) == 12 and bool(results.singles[0])
+        named += f"{name} is damaged and left out" in "".join(results.problems)
+        assert there != bool(results.problems)
+    assert named > len(whole) // 397 / 2
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "wrong", "told"),
+    [
+        ("maps/test_0000_3m_0.npz", "truth", np.zeros((2, 30, 41), bool), "truth: got bool of shape (2, 30, 41)"),
+        ("maps/test_0000_3m_0.npz", "level", np.zeros((4, 2, 30, 40)), "level: got float64"),
+        ("maps/test_0000_3m_0.npz", "approaches", np.array(["one"]), "level: got uint8 of shape (4, 2, 30, 40)"),
+        ("maps/test_0000_3m_0.npz", "resolution", np.array(0.0), "resolution: got 0.0"),
+        ("maps/test_0000_3m_0.npz", "poses", np.full((3, 3), np.nan), "poses: got"),
+        ("maps/test_0000_3m_0.npz", "poses", np.full((3, 3), 1e9), "poses: got"),
+        ("maps/test_0000_3m_0.npz", "cell_width", np.array(np.nan), "cell_width: got nan"),
+        ("maps/test_0000_3m_0.npz", "level", np.full((4, 2, 30, 40), 100, np.uint8), "level: got 100"),
+        ("maps/test_0000_3m_0.npz", "categories", np.array([b"chair", b"bed"]), "expected each name once"),
+        ("maps/test_0000_3m_0.npz", "categories", np.array(["chair", "chair"]), "expected each name once"),
+        ("single_views.npz", "category", np.arange(6), "expected names"),
+        ("maps/test_0000_3m_0.npz", "more", np.zeros(1), "unexpected keyword argument 'more'"),
+        ("single_views.npz", "seen", np.zeros((6, 21, 20), bool), "seen: got bool of shape (21, 20)"),
+        ("single_views.npz", "rgb", np.zeros((6, 16, 16, 4), np.uint8), "rgb: got uint8 of shape (16, 16, 4)"),
+        ("single_views.npz", "predicted", np.zeros((6, 4, 21, 21)), "seg_gt: got float64"),
+        ("single_views.npz", "approaches", np.array([], np.str_), "argument 2 is longer"),
+        ("single_views.npz", "resolution", np.array(np.inf), "resolution: got inf"),
+    ],
+)  # fmt: skip
+def test_arrays_that_do_not_fit_are_named(
+    tmp_path: Path, name: str, array: str, wrong: np.ndarray, told: str
+) -> None:
+    folder = make_folder(tmp_path / "run")
+    with np.load(folder / name) as file:
+        arrays = dict(file)
+    np.savez_compressed(folder / name, **{**arrays, array: wrong})
+    (problem,) = {line for line in read(folder).problems if line.startswith(f"{name} is damaged")}
+    assert told in problem
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "told"),
+    [
+        ("runs.csv", "seg_gt,chair,3,", "seg_gt,chair,nan,", "cell_width: got nan"),
+        ("runs.csv", "seg_gt,chair,3,", "seg_gt,chair,0.5e9,", "cell_width: got 500000000.0"),
+        ("runs.csv", ",70\n", f",{10**30}\n", f"{10**30} truth pixels"),
+        ("runs.csv", ",70\n", ",-70\n", "-70 truth pixels"),
+        ("thresholds.csv", ",150\n", ",50\n", "and 50 truth cells"),
+    ],
+)
+def test_counts_that_are_none_are_named(tmp_path: Path, name: str, old: str, new: str, told: str) -> None:
+    folder = make_folder(tmp_path / "run")
+    table = folder / "tables" / name
+    assert old in table.read_text()
+    table.write_text(table.read_text().replace(old, new, 1))
+    (problem,) = {line for line in read(folder).problems if line.startswith(f"tables/{name} is damaged")}
+    assert told in problem
+
+
+@pytest.mark.parametrize("told", ["[1]", '{"seconds": "long"}', f'{{"seconds": {10**400}}}', "[" * 100_000])
+def test_a_provenance_that_is_none_is_named(tmp_path: Path, told: str) -> None:
+    folder = make_folder(tmp_path / "run")
+    (folder / "tables" / "provenance.json").write_text(told)
+    assert "tables/provenance.json is damaged and left out" in problems(folder)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"evaluation": 5}, "evaluation is damaged: got 5, expected dict"),
+        (
+            {"evaluation": {"cell_widths": [3.0, "wide"]}},
+            "evaluation.cell_widths: got 'wide', expected a number",
+        ),
+        ({"evaluation": {"resamples": 0}}, r"evaluation.resamples: got 0, expected a number in \[1"),
+        ({"evaluation": {"viewpoint_sets": 10**12}}, "evaluation.viewpoint_sets: got 1000000000000"),
+        ({"scale": {"resolution": -1}}, "scale.resolution: got -1"),
+        ({"data": {"scenes": "rooms"}}, "data.scenes is damaged: got 'rooms'"),
+        ({"unit_categories": "chair"}, "unit_categories is damaged: got 'chair', expected list"),
+        (
+            {"unit_categories": ["chair", {"bed": 1}]},
+            "unit_categories is damaged: got {'bed': 1}, expected names",
+        ),
+        ({"ckpt": 3}, "ckpt is damaged: got 3, expected str or list"),
+        ({"more": {5: "five"}}, "got the key 5, expected text"),
+    ],
+)
+def test_a_config_that_a_report_cannot_go_by_is_refused(
+    tmp_path: Path, changes: dict[str, object], told: str
+) -> None:
+    folder = make_folder(tmp_path / "run", **changes)
+    with pytest.raises(UserError, match=told):
+        read(folder)
+
+
+@pytest.mark.parametrize(
+    "text", ["a: &b [*b]", "a: &b [1]\nc: [*b, *b]", "a: 2026-13-45", "a: " + "[" * 5000]
+)
+def test_yaml_that_no_run_writes_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(UserError, match=r"config\.yaml: is damaged"):
+        read(tmp_path)
+
+
+def test_more_resamples_than_an_interval_needs_are_not_drawn(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "run", evaluation={"resamples": 10**9})
+    assert Results(folder).resamples == MOST_RESAMPLES
 
 
 def test_damaged_curves_are_named(tmp_path: Path) -> None:

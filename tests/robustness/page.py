@@ -1,15 +1,24 @@
 """Parts of docs/reliability.md that commands write, between marks."""
 
-from datetime import date
 from pathlib import Path
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
 
 
+def read_part(name: str) -> list[str]:
+    """The lines between the marks of that name."""
+    begin, end = marks(name)
+    return PAGE.read_text().split(begin)[1].split(end)[0].strip().splitlines()
+
+
 def write_part(name: str, text: str) -> None:
-    """Put the text between the marks of that name, with the day."""
-    page = PAGE.read_text()
-    begin, end = f"<!-- made by make {name} -->", f"<!-- end of make {name} -->"
-    before, rest = page.split(begin)
+    """Put the text between the marks of that name."""
+    begin, end = marks(name)
+    before, rest = PAGE.read_text().split(begin)
     after = rest.split(end)[1]
-    PAGE.write_text(f"{before}{begin}\n{date.today().isoformat()}\n\n{text}\n{end}{after}")
+    PAGE.write_text(f"{before}{begin}\n{text}\n{end}{after}")
+
+
+def marks(name: str) -> tuple[str, str]:
+    """What stands before and behind the part."""
+    return f"<!-- made by make {name} -->", f"<!-- end of make {name} -->"

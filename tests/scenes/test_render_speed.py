@@ -1,57 +1,26 @@
 """The renderer's speed: images of 128 x 128 pixels in a home of 250,000 triangles, by one process and two."""
 
 import time
-from dataclasses import replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
 import numpy as np
 import pytest
 
+from benchmarks.subjects import with_triangles
 from imagination.geometry.camera import Camera
 from imagination.geometry.pose import Pose
 from imagination.scenes.renderer import Renderer
-from imagination.scenes.scene import Mesh
 from imagination.views.poses import sample_poses
 from tests.scenes.test_procedural_homes import homes
 
 TRIANGLES, VIEWS, ROUNDS = 250_000, 100, 7
 
 
-def refined(mesh: Mesh, count: int) -> Mesh:
-    """The same surfaces in about `count` triangles: faces are cut into four, as many as it takes."""
-    while len(mesh.faces) < count:
-        cut = min(len(mesh.faces), -(-(count - len(mesh.faces)) // 3))
-        chosen, rest = slice(0, cut), slice(cut, None)
-        corners = mesh.vertices[mesh.faces[chosen]]
-        middles = (corners + np.roll(corners, -1, axis=1)) / 2
-        new = len(mesh.vertices) + np.arange(3 * cut, dtype=np.int32).reshape(cut, 3)
-        (a, b, c), (ab, bc, ca) = mesh.faces[chosen].T, new.T
-        faces = (
-            np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]).transpose(2, 0, 1).reshape(-1, 3)
-        )
-        uv = mesh.face_uv[chosen]
-        (u, v, w), (uv_, vw, wu) = uv.swapaxes(0, 1), ((uv + np.roll(uv, -1, axis=1)) / 2).swapaxes(0, 1)
-        fine = np.stack([[u, uv_, wu], [uv_, v, vw], [wu, vw, w], [uv_, vw, wu]]).transpose(2, 0, 1, 3)
-        mesh = replace(
-            mesh,
-            vertices=np.concatenate([mesh.vertices, middles.reshape(-1, 3)]),
-            faces=np.concatenate([faces.astype(np.int32), mesh.faces[rest]]),
-            face_instance=np.concatenate(
-                [np.repeat(mesh.face_instance[chosen], 4), mesh.face_instance[rest]]
-            ),
-            face_material=np.concatenate(
-                [np.repeat(mesh.face_material[chosen], 4), mesh.face_material[rest]]
-            ),
-            face_uv=np.concatenate([fine.reshape(-1, 3, 2), mesh.face_uv[rest]]),
-        )
-    return mesh
-
-
 def work(pipe: Connection) -> None:
     """Render when told to; send back the processor's seconds and the clock's."""
     home = homes().load("train_0000")
-    mesh = refined(home.mesh, TRIANGLES)
+    mesh = with_triangles(home.mesh, TRIANGLES)
     assert TRIANGLES <= len(mesh.faces) < TRIANGLES + 3
     renderer, camera = Renderer(mesh, home.lighting), Camera.from_degrees(128, 128, 90.0, 1.25)
     poses = sample_poses(home.free_space, VIEWS, np.random.default_rng(0))
@@ -70,7 +39,7 @@ def test_cut_faces_look_the_same() -> None:
     camera = Camera.from_degrees(64, 64, 90.0, 1.25)
     x, y = home.free_space.grid.to_points(np.argwhere(home.free_space.mask))[0].tolist()
     look = camera.to_world(Pose(x, y, 1.0), home.floor_height)
-    meshes = home.mesh, refined(home.mesh, len(home.mesh.faces) * 3)
+    meshes = home.mesh, with_triangles(home.mesh, len(home.mesh.faces) * 3)
     coarse, fine = (Renderer(mesh, home.lighting).render(camera, look) for mesh in meshes)
     assert (coarse.instance == fine.instance).mean() > 0.999
     np.testing.assert_allclose(np.median(np.abs(coarse.depth - fine.depth)), 0, atol=1e-4)

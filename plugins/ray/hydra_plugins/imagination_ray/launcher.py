@@ -7,7 +7,6 @@ so Ray is imported late.
 
 from __future__ import annotations
 
-import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -22,8 +21,6 @@ from omegaconf import DictConfig, open_dict
 
 from imagination.errors import UserError, require_extra
 
-log = logging.getLogger(__name__)
-
 
 class RayLauncher(Launcher):
     """Runs the members of a sweep as Ray tasks.
@@ -36,7 +33,11 @@ class RayLauncher(Launcher):
 
     def __init__(self, address: str | None, num_cpus: float, num_gpus: float, max_retries: int) -> None:
         self.address = address
-        self.options = {"num_cpus": num_cpus, "num_gpus": num_gpus, "max_retries": max_retries}
+        self.options: dict[str, Any] = {
+            "num_cpus": num_cpus,
+            "num_gpus": num_gpus,
+            "max_retries": max_retries,
+        }
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         self.context, self.task, self.config = hydra_context, task_function, config
@@ -64,7 +65,7 @@ class RayLauncher(Launcher):
                 remote.remote(shared, list(overrides), initial_job_idx + number)
                 for number, overrides in enumerate(job_overrides)
             ]
-            results = [ray.get(task) for task in tasks]
+            results = [outcome(task, words) for task, words in zip(tasks, job_overrides, strict=True)]
         finally:
             if started:
                 ray.shutdown()
@@ -75,7 +76,8 @@ class RayLauncher(Launcher):
         ]
         if told:
             raise UserError(
-                f"sweep: {len(told)} of {len(results)} members failed: {', '.join(told)}; their messages are above"
+                f"sweep: {len(told)} of {len(results)} members failed: {', '.join(told)}; their messages are above. "
+                f"Run what is not done: the same command with sweep_dir={self.config.hydra.sweep.dir}"
             )
         return results
 
@@ -100,7 +102,21 @@ def run_member(shared: Any, overrides: list[str], number: int) -> JobReturn:
             job_subdir_key="hydra.sweep.subdir",
         )
     except SystemExit as stop:  # a mistake that was told; Ray would take it for a killed worker and try again
-        failed = JobReturn()
-        failed.overrides, failed.status = overrides, JobStatus.FAILED
-        failed.return_value = UserError(f"it ended with code {stop.code}")
-        return failed
+        return failure(overrides, UserError(f"it ended with code {stop.code}"))
+
+
+def outcome(task: Any, overrides: Sequence[str]) -> JobReturn:
+    """Wait for a member; one that gives no result, as when its worker was killed once too often, has failed."""
+    import ray
+
+    try:
+        result: JobReturn = ray.get(task)
+        return result
+    except ray.exceptions.RayError as error:
+        print(f"A member ({' '.join(filter_overrides(overrides))}) is lost: {error}", file=sys.stderr)
+        return failure(overrides, error)
+
+
+def failure(overrides: Sequence[str], error: Exception) -> JobReturn:
+    """What Hydra gets of a member that failed."""
+    return JobReturn(overrides=overrides, status=JobStatus.FAILED, _return_value=error)

@@ -1,0 +1,44 @@
+"""Parsers of a corpus of views as shards: its index, chunks, and the records of homes."""
+
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+from imagination.views.samplers import UniformPoses
+from tests.data.test_collecting import observer
+from tests.robustness.parsers.parser import Parser, exchanged, kept
+from tests.sources import Rooms
+
+HOME = "train_0"
+
+PARSERS: list[Parser] = []
+
+if find_spec("litdata") is not None:  # an optional extra
+    from imagination.data.shards import ABOUT, INDEX, Recipe, Shards, unwritten, write_home, write_index
+
+    RECIPE = Recipe(UniformPoses(), seed=1, views=4, group=2)
+
+    def write(folder: Path) -> None:
+        """Write a corpus of one home."""
+        folder.mkdir()
+        with tempfile.TemporaryDirectory() as cache:
+            write_home(watcher := observer(Path(cache), Rooms(1)), HOME, folder, RECIPE)
+            write_index(folder, watcher, RECIPE)
+
+    def read(folder: Path) -> object:
+        """Every view."""
+        corpus = Shards(str(folder), str(folder / "unused"), "1GB")
+        return [corpus.read(home, number) for home, items in corpus.homes.items() for number in range(items)]
+
+    def go_on(folder: Path) -> object:
+        """See which homes are there, as the next of several jobs does."""
+        watcher = observer(folder / "cache", Rooms(1))
+        return unwritten(folder, watcher, [HOME], RECIPE), write_index(folder, watcher, RECIPE)
+
+    CORPUS = kept(write)
+    PARSERS += [
+        Parser("shards-index", *exchanged(CORPUS, INDEX, read)),
+        Parser("shards-about", *exchanged(CORPUS, ABOUT, read)),
+        Parser("shards-chunk", *exchanged(CORPUS, f"chunk-{HOME}.bin", read)),
+        Parser("shards-record", *exchanged(CORPUS, f"{HOME}.record.json", go_on)),
+    ]

@@ -1,0 +1,68 @@
+"""Parsers of homes and furniture of Sweet Home 3D."""
+
+import io
+import tempfile
+import zipfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from imagination import plugins
+from tests.robustness.parsers.parser import SPLIT, Parser, within
+from tests.scene_sources import sweet_home
+
+plugins.activate()
+
+
+def home(path: Path) -> object:
+    """Read a home."""
+    from imagination_sweethome3d.home_file import read_home
+
+    return read_home(path)
+
+
+def catalogue(path: Path) -> object:
+    """Read a catalogue of furniture."""
+    from imagination_sweethome3d.catalogue import read_catalogue
+
+    return read_catalogue(path)
+
+
+def model(path: Path) -> object:
+    """Read and fit a model."""
+    from imagination_sweethome3d.archives import opened
+    from imagination_sweethome3d.models import fitted, read_model
+
+    with opened(path) as archive:
+        return fitted(read_model(archive, "m.obj"), (0.45, 0.45, 0.9), np.eye(3))
+
+
+@cache
+def files() -> dict[str, list[bytes]]:
+    """Valid files of each kind."""
+    with tempfile.TemporaryDirectory() as folder:
+        archive = sweet_home.write_catalogue(Path(folder) / "a.sh3f").read_bytes()
+        whole = sweet_home.write_home(Path(folder) / "a.sh3d").read_bytes()
+    picture = io.BytesIO()
+    Image.new("RGB", (4, 4), (200, 100, 0)).save(picture, "PNG")
+    parts = sweet_home.obj(sweet_home.CHAIR).encode(), sweet_home.MATERIALS.encode() + b"map_Kd p.png\n"
+    with zipfile.ZipFile(io.BytesIO(archive)) as file:
+        rows = file.read(ROWS)
+    return {
+        "plan": [sweet_home.home_xml(sweet_home.furnished()).encode()],
+        "rows": [rows],
+        "model": [SPLIT.join([*parts, picture.getvalue()])],
+        "archive": [whole],
+    }
+
+
+ROWS = "PluginFurnitureCatalog.properties"
+
+PARSERS = [
+    Parser("sh3d", home, lambda: files()["archive"]),
+    Parser("sh3d-plan", within(["Home.xml"], "a.zip", home), lambda: files()["plan"]),
+    Parser("sh3f-rows", within([ROWS], "a.zip", catalogue), lambda: files()["rows"]),
+    Parser("obj", within(["m.obj", "model.mtl", "p.png"], "a.zip", model), lambda: files()["model"]),
+]

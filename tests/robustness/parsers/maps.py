@@ -1,0 +1,39 @@
+"""Parsers of map files."""
+
+from pathlib import Path
+
+import numpy as np
+
+from imagination.geometry.grid import Grid
+from imagination.mapping import files
+from imagination.mapping.maps import Maps
+from tests.robustness.parsers.parser import Parser, exchanged, kept, resealed
+
+
+def save(folder: Path) -> None:
+    """Save a map of one object."""
+    probabilities = np.zeros((1, 20, 20), np.float32)
+    probabilities[:, 4:12, 5:9] = 0.75
+    known = np.ones((20, 20), np.bool_)
+    grid = Grid(0.05, 20, 20, (0.0, 0.0))
+    maps = Maps(grid, "map", ("chair",), probabilities, known[None], probabilities[0], known)
+    files.save_maps(folder, maps, [(200, 0, 0)])
+
+
+def load_layer(folder: Path) -> object:
+    return files.load_layer(folder / "map.yaml")
+
+
+def load_objects(folder: Path) -> object:
+    return files.load_objects(folder / files.OBJECTS)
+
+
+MAP = kept(save)
+
+PARSERS = [
+    Parser("map-map.yaml", *exchanged(MAP, "map.yaml", load_layer)),
+    Parser("map-map.pgm", *exchanged(MAP, "map.pgm", load_layer)),
+    Parser("map-semantic.npz", *exchanged(MAP, files.SEMANTIC, files.load_maps)),
+    Parser("map-semantic-resealed", *resealed(*exchanged(MAP, files.SEMANTIC, files.load_maps))),
+    Parser("map-objects.geojson", *exchanged(MAP, files.OBJECTS, load_objects)),
+]

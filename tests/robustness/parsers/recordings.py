@@ -1,0 +1,92 @@
+"""Parsers of recordings: bags, TUM, ScanNet and plain folders."""
+
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from imagination.geometry.camera import Camera
+from imagination.geometry.pose import Pose
+from imagination.geometry.rgbd import Intrinsics, RgbdCamera
+from imagination.recordings.bag import BagRecording
+from imagination.recordings.folder import FolderRecording
+from imagination.recordings.recording import Frames, Recording
+from imagination.recordings.scannet import ScanNetRecording
+from imagination.recordings.tum import TumRecording
+from tests.robot import BEGIN, TICK, Taken, raw, record_bag, record_folder, record_tum, seconds
+from tests.robustness.parsers.parser import Examples, Parse, Parser, exchanged, kept
+
+CAMERA = Camera.from_degrees(24, 16, 80.0, 1.1)
+
+
+@cache
+def frames() -> list[Taken]:
+    image, depth = np.full((16, 24, 3), 90, np.uint8), np.full((16, 24), 2, np.float32)
+    return [Taken(BEGIN + number * TICK, Pose(0.1 * number, 0, 0), image, depth) for number in range(4)]
+
+
+def frames_of(opened: Callable[[Path], Recording]) -> Callable[[Path], object]:
+    """What reads all of a recording."""
+    return lambda folder: len(list(Frames(opened(folder))))
+
+
+def open_bag(file: str, folder: Path) -> BagRecording:
+    topics = dict.fromkeys(("colour", "depth", "colour_info", "depth_info", "odometry"))
+    return BagRecording(str(folder / file), topics, None, None, 1000.0, 0.02, 0.5)
+
+
+def bag(kind: str) -> tuple[Parse, Examples]:
+    """A bag of one file."""
+    suffix = {"mcap": ".mcap", "sqlite3": ".db3", "ros1": ".bag"}[kind]
+
+    def record(folder: Path) -> None:
+        folder.mkdir()
+        record_bag(folder / ("drive.bag" if kind == "ros1" else "drive"), frames(), CAMERA, kind)
+        next(folder.rglob(f"drive{suffix}")).rename(folder / f"bag{suffix}")
+
+    name = f"bag{suffix}"
+    return exchanged(kept(record), name, frames_of(partial(open_bag, name)))
+
+
+def record_scannet(folder: Path) -> None:
+    """Record a folder as ScanNet exports it."""
+    for name in ("color", "depth", "pose", "intrinsic"):
+        (folder / name).mkdir(parents=True)
+    for name in ("color", "depth"):
+        np.savetxt(folder / "intrinsic" / f"intrinsic_{name}.txt", Intrinsics.of(CAMERA).matrix)
+    for number, frame in enumerate(frames()):
+        cv2.imwrite(str(folder / "color" / f"{number}.png"), frame.rgb)
+        cv2.imwrite(str(folder / "depth" / f"{number}.png"), raw(frame.depth, 1000))
+        np.savetxt(folder / "pose" / f"{number}.txt", CAMERA.to_world(frame.pose))
+
+
+def images() -> list[bytes]:
+    """A colour image as it may lie in a recording."""
+    picture = np.random.default_rng(0).integers(0, 256, (16, 24, 3), np.uint8)
+    return [cv2.imencode(suffix, picture)[1].tobytes() for suffix in (".png", ".jpg")]
+
+
+TUM = kept(lambda folder: record_tum(folder, frames(), CAMERA))
+SCANNET = kept(record_scannet)
+FOLDER = kept(lambda folder: record_folder(folder, frames(), CAMERA))
+BAG_FOLDER = kept(lambda folder: record_bag(folder, frames(), CAMERA, "sqlite3"))
+
+tum = frames_of(lambda folder: TumRecording(str(folder), RgbdCamera.of(CAMERA), 5000.0, 0.02, 0.5))
+scannet = frames_of(lambda folder: ScanNetRecording(str(folder), 1000.0, 30.0))
+plain = frames_of(lambda folder: FolderRecording(str(folder)))
+
+PARSERS = [
+    *(Parser(f"bag-{kind}", *bag(kind)) for kind in ("mcap", "sqlite3", "ros1")),
+    Parser("bag-metadata.yaml", *exchanged(BAG_FOLDER, "metadata.yaml", frames_of(partial(open_bag, "")))),
+    *(Parser(f"tum-{name}", *exchanged(TUM, f"{name}.txt", tum)) for name in ("rgb", "depth", "groundtruth")),
+    Parser("tum-image", exchanged(TUM, f"rgb/{seconds(frames()[2].stamp)}.png", tum)[0], images),
+    Parser("scannet-pose", *exchanged(SCANNET, "pose/2.txt", scannet)),
+    Parser("scannet-intrinsic", *exchanged(SCANNET, "intrinsic/intrinsic_color.txt", scannet)),
+    Parser("scannet-depth", *exchanged(SCANNET, "depth/2.png", scannet)),
+    *(
+        Parser(f"folder-{name}", *exchanged(FOLDER, name, plain))
+        for name in ("camera.yaml", "frames.csv", "d2.npy")
+    ),
+]

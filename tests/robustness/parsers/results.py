@@ -1,0 +1,98 @@
+"""Parsers of results: folders of runs and sweeps, as a report reads and draws them."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from imagination.evaluation import style
+from imagination.members import FILE
+from imagination.report import read
+from imagination.reporting import page
+from imagination.reporting.content import Drawing
+from imagination.reporting.layout import to_csv, to_latex, to_markdown
+from tests.reporting.folders import APPROACHES, CATEGORIES, WIDTHS, make_folder
+from tests.reporting.test_results import log
+from tests.robustness.parsers.parser import Parser, exchanged, kept, resealed
+
+MAPS, SINGLES = "maps/test_0000_3m_0.npz", "single_views.npz"
+EVENTS = "tensorboard/events.out.tfevents.1.host.1.0"
+
+
+def write(folder: Path) -> None:
+    """Write an evaluation's folder with every file that a report reads."""
+    make_folder(folder)
+    tables = folder / "tables"
+    rows = [f"{a},{c},{w:g},0.5,0.25\n" for a in APPROACHES for c in CATEGORIES for w in WIDTHS]
+    (tables / "mapping.csv").write_text(
+        "".join(["approach,category,cell_width,iou_seen,iou_unseen\n", *rows])
+    )
+    (tables / "ego.csv").write_text("category,score\nchair,0.5\n")
+    told = {
+        "command": "python -m imagination.evaluate",
+        "hardware": "2 cores",
+        "seconds": 12.5,
+        "sensor": "ideal",
+    }
+    (tables / "provenance.json").write_text(json.dumps(told))
+    log(
+        folder / "tensorboard",
+        train__loss=[3.0, 2.0],
+        val__iou=[0.25, 0.5],
+        global__chair__imagination__val=[0.5],
+    )
+    next((folder / "tensorboard").iterdir()).rename(folder / EVENTS)
+
+
+def write_sweep(folder: Path) -> None:
+    """Write a sweep of two members."""
+    for number in range(2):
+        make_folder(folder / str(number), choices=[f"seed={number}"], seed=number)
+    rows = [f"{number},key{number},done,0.5,seed={number},\n" for number in range(2)]
+    (folder / FILE).write_text("".join(["folder,key,state,score,overrides,problem\n", *rows]))
+    asked = {"overrides": {"task": ["+experiment=made", "seed=0,1"]}, "job": {"name": "train"}}
+    sweeper = {"_target_": "hydra._internal.BasicSweeper", "params": None}
+    (folder / "multirun.yaml").write_text(json.dumps({"hydra": {**asked, "sweeper": sweeper}}))
+
+
+def report(*figures: str) -> Callable[[Path], object]:
+    """What makes the page and the tables, and, where nothing was refused, those figures, small: they take long."""
+
+    def picture(drawing: Drawing) -> str:
+        return str(len(page.png(drawing, "light", 15)[1])) if drawing.stem.startswith(figures) else ""
+
+    def made(folder: Path) -> object:
+        content = read(folder)
+        for table in (table for section in content.sections for table in section.layouts):
+            to_csv(table), to_markdown(table), to_latex(table)
+        drawn = (lambda _: "") if content.problems else picture
+        template = page.environment().get_template("page.html.j2")
+        return template.render(content=content, picture=drawn, colours=style.THEMES)
+
+    return made
+
+
+RESULTS, SWEEP = kept(write), kept(write_sweep)
+
+TABLES = {
+    "runs.csv": report("distribution", "maps"),
+    "thresholds.csv": report("precision_recall_views", "reliability_network"),
+    **dict.fromkeys(("mapping.csv", "ego.csv", "provenance.json"), report()),
+}
+maps = report("maps", "viewpoints", "precision_recall_maps", "reliability_maps")
+single_views, sweep = report("single"), report("ablation")
+
+PARSERS = [
+    Parser("results-config.yaml", *exchanged(RESULTS, "config.yaml", report())),
+    *(
+        Parser(f"results-{name}", *exchanged(RESULTS, f"tables/{name}", read))
+        for name, read in TABLES.items()
+    ),
+    Parser("results-maps", *exchanged(RESULTS, MAPS, maps)),
+    Parser("results-maps-resealed", *resealed(*exchanged(RESULTS, MAPS, maps))),
+    Parser("results-single-views", *exchanged(RESULTS, SINGLES, single_views)),
+    Parser("results-single-views-resealed", *resealed(*exchanged(RESULTS, SINGLES, single_views))),
+    Parser("results-curves", *exchanged(RESULTS, EVENTS, report("curve"))),
+    Parser("sweep-config.yaml", *exchanged(SWEEP, "1/config.yaml", sweep)),
+    Parser("sweep-members.csv", *exchanged(SWEEP, FILE, sweep)),
+    Parser("sweep-multirun.yaml", *exchanged(SWEEP, "multirun.yaml", sweep)),
+]

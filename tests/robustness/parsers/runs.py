@@ -1,0 +1,69 @@
+"""Parsers of what training leaves: configs, checkpoints, the cache."""
+
+import hashlib
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from omegaconf import OmegaConf
+
+from imagination.cache import MAGIC, DamagedError, decode, encode
+from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint
+from imagination.config import compose
+from imagination.resume import END, _read
+from tests.robustness.parsers.parser import Parser, resealed
+
+
+def sealed(path: Path) -> object:
+    """Decode an entry whose checksum fits, as a stranger would see to."""
+    body = path.read_bytes()
+    return decode(MAGIC + hashlib.sha256(body).digest() + body)
+
+
+@cache
+def entries() -> list[bytes]:
+    arrays = {
+        "mask": np.arange(21).reshape(3, 7) % 3 == 0,
+        "depth": np.linspace(0, 8, 10, dtype=np.float16),
+        "rgb": np.zeros((2, 3, 3), np.uint8),
+        "nothing": np.zeros((0, 4), bool),
+    }
+    return [encode(arrays), encode({})]
+
+
+def bodies() -> list[bytes]:
+    """What lies behind the checksum."""
+    return [entry[len(MAGIC) + hashlib.sha256().digest_size :] for entry in entries()]
+
+
+@cache
+def checkpoints() -> list[bytes]:
+    config = compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=."])
+    config.choices = ["+experiment=chair_unet", "scale=test"]
+    state = {"state_dict": {"weight": torch.zeros(2)}, KEY: ConfigInCheckpoint(config).description}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.ckpt"
+        torch.save(state, path)
+        return [path.read_bytes()]
+
+
+@cache
+def configs() -> list[bytes]:
+    config = compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=."])
+    config.sweep_dir = None  # as the command leaves it out
+    return [(OmegaConf.to_yaml(config) + END).encode()]
+
+
+def config_of(path: Path) -> object:
+    return Checkpoint.read(path).config
+
+
+PARSERS = [
+    Parser("config", _read, configs),
+    Parser("checkpoint", config_of, checkpoints),
+    Parser("checkpoint-resealed", *resealed(config_of, checkpoints)),
+    Parser("cache", lambda path: decode(path.read_bytes()), entries, (DamagedError,)),
+    Parser("cache-sealed", sealed, bodies, (DamagedError,)),
+]

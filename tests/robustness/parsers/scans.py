@@ -1,0 +1,37 @@
+"""Parsers of scanned buildings."""
+
+from importlib.util import find_spec
+
+from imagination import plugins
+from tests.robustness.parsers.parser import Parser, exchanged, kept
+
+PARSERS: list[Parser] = []
+
+if find_spec("plyfile") is not None and find_spec("trimesh") is not None:  # an optional extra
+    plugins.activate()
+    from imagination_scans.hm3d import HM3D
+    from imagination_scans.layouts import Layout
+    from imagination_scans.matterport3d import Matterport3D
+    from imagination_scans.replica import Replica
+
+    from tests.scene_sources import buildings
+
+    def scan(name: str, layout: Layout, stem: str, main: str, endings: list[str]) -> list[Parser]:
+        """Read a building of which the file with an ending is exchanged."""
+        made = kept(getattr(buildings, f"write_{name}"))
+        return [
+            Parser(
+                f"{name}{end}",
+                *exchanged(made, stem + end, lambda folder: layout.read(folder / (stem + main))),
+            )
+            for end in endings
+        ]
+
+    HOUSE = "17DRP5sb8fy/house_segmentations/17DRP5sb8fy"
+    PARSERS += scan("matterport", Matterport3D(), HOUSE, ".house", [".house", ".ply"])
+    ROOM = "room_0/habitat/"
+    PARSERS += scan(
+        "replica", Replica(), ROOM, "info_semantic.json", ["info_semantic.json", "mesh_semantic.ply"]
+    )
+    BUILDING = "train/00001-abcdefghijk/abcdefghijk"
+    PARSERS += scan("hm3d", HM3D(), BUILDING, ".semantic.txt", [".semantic.txt", ".semantic.glb", ".glb"])

@@ -1,0 +1,140 @@
+"""What benchmarks write: a section at a time, with what could not be measured; what scaling concludes from them."""
+
+import json
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import __main__ as command
+from benchmarks import scaling
+from benchmarks.measure import Figure, unmeasured
+from benchmarks.scaling import Costs, Results, divisible, exchange, first_saturated, predicted
+
+COSTS = Costs(1.0, 100.0, 0.9, 10e3, 1000.0, 100.0, 50e6)
+
+
+def result(*figures: Figure, **about: Any) -> dict[str, Any]:
+    made = {
+        "day": "2026-01-01",
+        "hardware": "a machine",
+        "python": "3",
+        "libraries": {"torch": "2"},
+        "seed": 0,
+    }
+    made |= {"command": "python -m benchmarks", "minutes": 1.0}
+    return {"figures": [asdict(figure) for figure in figures], **made, **about}
+
+
+def test_sections_join_those_that_are_there(tmp_path: Path) -> None:
+    command.write(tmp_path, "truth", result(Figure("truth", 5.0, "s", 4.0, "a limit", 6.0, at_most=True)))
+    command.write(tmp_path, "startup", result(Figure("start-up", 2.0, "s")))
+    command.write(tmp_path, "truth", result(Figure("truth", 3.0, "s"), day="2026-01-02"))
+    sections = json.loads((tmp_path / "results.json").read_text())["sections"]
+    assert list(sections) == ["startup", "truth"]
+    page = (tmp_path / "results.md").read_text()
+    assert "| start-up | 2 s |" in page and "| truth | 3 s |" in page and "5 s" not in page
+    first, _, truth = page.partition("## Truth")
+    assert "2026-01-01" in first and "2026-01-02" in truth and "2026-01-01" not in truth
+    assert "2.0 minutes in all" in first
+
+
+def test_what_is_not_measured_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "litdata", None)
+    command.section("shards", str(tmp_path))
+    told = json.loads(capsys.readouterr().out)
+    command.write(tmp_path, "shards", {**result(), **told})
+    page = (tmp_path / "results.md").read_text()
+    assert "| shards | not measured |" in page and "pip install 'imagination[shards]'" in page
+
+
+def test_a_section_that_fails_leaves_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def inside(*words: str) -> dict[str, Any] | None:
+        if words[0] == "--machine":
+            return {name: result()[name] for name in ("day", "hardware", "python", "libraries", "seed")}
+        return None if words[1] == "maps" else {"figures": [asdict(Figure(words[1], 1.0, "s"))]}
+
+    monkeypatch.setattr(command, "inside", inside)
+    monkeypatch.setattr(command, "FOLDER", tmp_path)
+    assert not command.main(["truth", "maps", "buffer"])
+    page = (tmp_path / "results.md").read_text()
+    assert "| maps | not measured |" in page and "it failed" in page and "| buffer | 1 s |" in page
+    assert command.main(["maps"]) is False and "| buffer | 1 s |" in (tmp_path / "results.md").read_text()
+
+
+def test_a_figure_without_a_value_meets_nothing() -> None:
+    figure = replace(unmeasured("a", "no compiler"), target=1.0)
+    assert figure.met is None and figure.ratio is None
+
+
+@pytest.mark.parametrize("machines", [1, 2, 3, 10, 16, 100])
+def test_machines_divide_what_they_share(machines: int) -> None:
+    sizes = divisible(machines)
+    assert set(sizes) == set(scaling.SHARED) and not any(size % machines for size in sizes.values())
+    assert all(size >= scaling.DESK[name] for name, size in sizes.items())
+    assert sizes["batch_size"] == machines * scaling.BATCH
+
+
+def test_a_ring_moves_nearly_twice_the_gradients() -> None:
+    assert exchange(1, 8.0, 2.0) == 0.0
+    assert exchange(2, 8.0, 2.0) == 4.0
+    assert exchange(1000, 8.0, 2.0) == pytest.approx(8.0, rel=0.01)
+
+
+def test_what_saturates_first_comes_from_the_numbers() -> None:
+    """A step computes 0.16 s; 50 MB over 125 MB/s take 0.4 s with two machines, 160 kB 1.28 ms from the storage."""
+    assert first_saturated(COSTS.step) == "the network between machines, from 2 machines on"
+    light = replace(COSTS, gradients=1e6)
+    assert first_saturated(light.step) == "the storage, from 126 machines on"
+    assert first_saturated(replace(light, size=1.0).step).startswith("nothing")
+    assert (
+        first_saturated(replace(COSTS, reading=10.0).step)
+        == "the thread that reads shards, from 1 machine on"
+    )
+    assert first_saturated(COSTS.rendering) == "the storage, from 71 machines on"
+
+
+def test_time_is_that_of_the_busiest() -> None:
+    assert COSTS.epoch(1) == pytest.approx(scaling.VIEWS / 100)
+    assert COSTS.epoch(2) == pytest.approx(scaling.VIEWS / (2 * scaling.BATCH) * (0.16 + 0.4))
+    assert replace(COSTS, reading=10.0).epoch(1) == pytest.approx(scaling.VIEWS / 10)
+
+
+def test_the_page_tells_predicted_beside_measured() -> None:
+    results = {
+        "shards": [
+            Figure("home and truth for a corpus, 1 process", 1.0, "s a home"),
+            Figure("views written by 1 process", 100.0, "views/s"),
+            Figure("views written by 2 processes", 180.0, "views/s"),
+            Figure("size of a view", 10.0, "kB"),
+            Figure("views read by 1 process, chunks in the page cache", 1000.0, "views/s"),
+        ],
+        "training": [
+            Figure("training step, unit (default), 32-true, batch 16: 100 samples/s", 1.0, "GFLOP/s")
+        ],
+        "distributed": [
+            Figure(
+                "training step, default unit, 32-true, batch 16 and 1 thread a process, 1 process",
+                64,
+                "samples/s",
+            ),
+            Figure(
+                "training step, default unit, 32-true, batch 16 and 1 thread a process, 2 processes",
+                80,
+                "samples/s",
+            ),
+            Figure("gradients of a step", 50.0, "MB"),
+            Figure("exchange of a step's gradients alone, 2 processes", 400.0, "MB/s"),
+        ],
+    }
+    page = predicted(Results({"sections": {name: result(*figures) for name, figures in results.items()}}))
+    assert "| views written | 100.0/s | 200.0/s | 180.0/s | 1.11 |" in page
+    # 16 views in 0.25 s, then 50 MB at 400 MB/s: 32 views in 0.375 s
+    assert "| 64.0/s | 85.3/s | 80.0/s | 1.07 |" in page
+    assert "`scale.batch_size=160 scale.parallel_scenes=20 scale.buffer_size=12290`" in page
+    with pytest.raises(SystemExit, match="python -m benchmarks shards"):
+        predicted(Results({"sections": {}}))
