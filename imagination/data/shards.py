@@ -106,7 +106,7 @@ def read_records(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, 
     asked, records = recipe.made_with(observer), {}
     for path in sorted(folder.glob("*.record.json")):
         try:
-            record = Record(**json.loads(path.read_text()))
+            record = _checked(Record(**json.loads(path.read_text())))
         except (OSError, ValueError, TypeError) as error:
             log.warning("shards: %s cannot be read (%s); its home counts as not written", path, error)
             continue
@@ -118,6 +118,14 @@ def read_records(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, 
         if (folder / _chunk(record.scene)).is_file():
             records[record.scene] = record
     return records
+
+
+def _checked(record: Record) -> Record:
+    """The same, if its parts are what they should be."""
+    kinds = zip(record, (str, str, dict, int, dict), strict=True)
+    if not all(isinstance(part, kind) for part, kind in kinds) or "entry" not in record.chunk:
+        raise ValueError("its parts are not those of a record")
+    return record
 
 
 def unwritten(folder: Path, observer: Observer, homes: Sequence[str], recipe: Recipe) -> list[str]:

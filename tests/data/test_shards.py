@@ -185,7 +185,13 @@ def test_a_home_that_changed_and_fails_now_leaves_the_corpus(corpus: Path, tmp_p
     assert list(opened(folder).homes) == ["train_0", "train_2", "train_3", "train_4"]
 
 
-@pytest.mark.parametrize("content", ["", '{"scene": "train_1"}', "[1]", "\x00"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("", '{"scene": "train_1"}', "[1]", "\x00"),
+        '{"scene": "train_1", "key": "", "made_with": {}, "items": 2, "chunk": {}}',
+    ],
+)
 def test_a_home_whose_record_is_damaged_is_written_again(
     corpus: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, content: str
 ) -> None:

@@ -31,8 +31,8 @@ FAILED = "**failed**"
 KEPT = Path("outputs") / "fuzz"
 """Where files that failed are."""
 
-TOLD = 10_000
-"""Last letters of what a process said that are shown if it failed."""
+TOLD = 100, 300
+"""Last lines of what a process said that are shown if it failed, and letters of each: examples are long."""
 
 BURST = 100
 """Files between looks at the clock."""
@@ -207,7 +207,8 @@ def apart(name: str, minutes: float) -> str:
         print(f"{name}: {error}", flush=True)
         return FAILED
     if done.returncode:
-        print(f"{name}: failed with {done.returncode} at {KEPT / name}\n{done.stderr[-TOLD:]}", flush=True)
+        lines = [line[: TOLD[1]] for line in done.stderr.splitlines()[-TOLD[0] :]]
+        print(f"{name}: failed with {done.returncode} at {KEPT / name}", *lines, sep="\n", flush=True)
         return FAILED
     files = done.stdout.split()[-1]
     print(f"{name}: {files}", flush=True)
