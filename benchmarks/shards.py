@@ -9,9 +9,10 @@ from time import perf_counter
 
 from benchmarks.measure import Figure, copying, medians
 from benchmarks.subjects import SEED, config, observer
-from imagination.data import shards
+from imagination.data import corpus as corpora
+from imagination.data.corpus import Recipe
 from imagination.data.datamodule import count_truth
-from imagination.data.shards import Recipe, Shards
+from imagination.data.shards import Shards
 from imagination.errors import require_extra
 from imagination.views.pool import ScenePool
 from imagination.views.samplers import UniformPoses
@@ -68,12 +69,12 @@ def written(folder: str, workers: int, recipe: Recipe) -> tuple[float, float]:
         for counted in [pool.submit(count_truth, home) for home in homes]:
             counted.result()
         middle = perf_counter()
-        for task in [pool.submit(shards.write_home, home, corpus, recipe) for home in homes]:
+        for task in [pool.submit(corpora.write_home, home, corpus, recipe) for home in homes]:
             task.result()
         end = perf_counter()
     finally:
         pool.close()
-    shards.write_index(corpus, watcher, recipe)
+    corpora.write_index(corpus, watcher, recipe)
     return (middle - start) / HOMES, HOMES * recipe.views / (end - middle)
 
 

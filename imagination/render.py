@@ -88,28 +88,28 @@ def draw(config: DictConfig, observer: Observer, name: str, folder: Path) -> Non
 
 def write_corpus(config: DictConfig) -> None:
     """Render the views of all homes of a split into shards; homes that are there already stay, broken ones are told."""
-    from imagination.data import shards  # with it comes torch
+    from imagination.data import corpus  # with it comes torch
 
     require_extra("litdata", "shards")
     check_range("parts", config.parts, 1, 1_000_000, "jobs")
     check_range("part", config.part, 0, config.parts - 1)
     observer: Observer = instantiate(config.data.observer)
     split = cast(Split, check_choice("split", config.split, SPLITS))
-    recipe = shards.Recipe(
+    recipe = corpus.Recipe(
         instantiate(config.data.sampler), config.seed, config.views, config.scale.update_interval
     )
     folder, homes = Path(config.shards), observer.source.scenes(split)[config.part :: config.parts]
     folder.mkdir(parents=True, exist_ok=True)
     with runs.logging_to(folder / f"render_{config.part}_of_{config.parts}.log"):
-        left = shards.unwritten(folder, observer, homes, recipe)
+        left = corpus.unwritten(folder, observer, homes, recipe)
         begin, failed = perf_counter(), []
-        with closing(shards.write_homes(observer, left, folder, recipe, config.scale.workers)) as done:
+        with closing(corpus.write_homes(observer, left, folder, recipe, config.scale.workers)) as done:
             for home, problem in progress(done, f"views of homes ({split})", len(left)):
                 if problem:
                     failed.append(home)
                     log.error("%s is left out: %s", home, problem)
         seconds = perf_counter() - begin
-        about = shards.write_index(folder, observer, recipe)
+        about = corpus.write_index(folder, observer, recipe)
         count, size = len(about["homes"]), sum(path.stat().st_size for path in folder.glob("chunk-*.bin"))
         per_view = size / (count * recipe.views)
         log.info(

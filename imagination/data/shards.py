@@ -1,240 +1,25 @@
-"""Views of whole corpora as litdata shards: written home by home, streamed into training from a folder or a URL.
-
-An item is a group of views of one home, encoded as in the cache; a home's items make one chunk. Item 0 describes the
-corpus: what its views depend on, and how many items each home has. Homes are written whole or not at all, each with a
-record beside its chunk, so that any number of jobs may write to one folder and go on where another stopped.
-"""
+"""Training views streamed out of a corpus (imagination.data.corpus), in a folder or behind a URL."""
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
-import logging
-import os
 import re
-import time
-from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 
-from imagination.cache import decode, encode
+from imagination.cache import decode
+from imagination.data.corpus import INDEX, as_read, chunk_name, describe, difference, prepare_litdata
 from imagination.data.datamodule import SceneData
-from imagination.errors import UserError, check_range, require_extra
+from imagination.errors import UserError
 from imagination.ranks import rank, ranks
-from imagination.runs import replacing, write_text
-from imagination.views.collector import PoseSampler, Stream, Views, concatenate, look
-from imagination.views.pool import ScenePool
-from imagination.views.view import Observer, plain
-
-log = logging.getLogger(__name__)
-
-INDEX = "index.json"
-"""Where litdata looks for the list of chunks."""
-
-ABOUT = "chunk-about.bin"
-"""The chunk with the description alone."""
-
-LOCK = ".index.lock"
-"""Held by the job that writes the index."""
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """What is written of each home.
-
-    Attributes:
-        sampler: draws poses.
-        seed: of poses and sensor noise.
-        views: of each home.
-        group: views in an item.
-    """
-
-    sampler: PoseSampler
-    seed: int
-    views: int
-    group: int
-
-    def __post_init__(self) -> None:
-        check_range("views", self.views, 1, 10_000_000, "views of each home")
-        if self.views % self.group:
-            raise UserError(
-                f"views: got {self.views} of each home, expected a multiple of scale.update_interval = {self.group}"
-            )
-
-    def made_with(self, observer: Observer) -> dict[str, Any]:
-        """What the views of all homes of a corpus have in common."""
-        return _as_read({**describe(observer), **plain(self)})
-
-    def key(self, observer: Observer, scene: str) -> str:
-        """Hash of everything that a home's views depend on."""
-        whole = {"views": observer.view_key(scene), "recipe": plain(self)}
-        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
-
-
-class Record(NamedTuple):
-    """What is known of a written home.
-
-    Attributes:
-        scene: its name.
-        key: hash of everything that its views depend on.
-        made_with: what they have in common with those of the other homes.
-        items: groups of views.
-        chunk: what litdata's index says of it.
-    """
-
-    scene: str
-    key: str
-    made_with: dict[str, Any]
-    items: int
-    chunk: dict[str, Any]
-
-
-def read_records(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, Record]:
-    """Records of the homes that are written, by home; one that cannot be read is told and counts as none.
-
-    Raises:
-        UserError: if a home was made with other settings: one description holds for the whole corpus.
-    """
-    asked, records = recipe.made_with(observer), {}
-    for path in sorted(folder.glob("*.record.json")):
-        try:
-            record = _checked(Record(**json.loads(path.read_text())))
-        except (OSError, ValueError, TypeError) as error:
-            log.warning("shards: %s cannot be read (%s); its home counts as not written", path, error)
-            continue
-        if different := _difference(record.made_with, asked):
-            raise UserError(
-                f"shards: the views of {record.scene} in {folder} were made with {different}; write to another "
-                "folder, or remove this one"
-            )
-        if (folder / _chunk(record.scene)).is_file():
-            records[record.scene] = record
-    return records
-
-
-def _checked(record: Record) -> Record:
-    """The same, if its parts are what they should be."""
-    kinds = zip(record, (str, str, dict, int, dict), strict=True)
-    if not all(isinstance(part, kind) for part, kind in kinds) or "entry" not in record.chunk:
-        raise ValueError("its parts are not those of a record")
-    return record
-
-
-def unwritten(folder: Path, observer: Observer, homes: Sequence[str], recipe: Recipe) -> list[str]:
-    """Those of the homes that are not there yet, or have changed since.
-
-    Raises:
-        UserError: if the folder holds homes that were made with other settings.
-    """
-    records = read_records(folder, observer, recipe)
-    return [home for home in homes if home not in records or records[home].key != recipe.key(observer, home)]
-
-
-def write_homes(
-    observer: Observer, homes: Sequence[str], folder: Path, recipe: Recipe, workers: int
-) -> Generator[tuple[str, str], None, None]:
-    """Write homes, one at a time in each worker; gives each with what went wrong, or an empty string.
-
-    A home whose worker is killed, as when it takes too much memory, has failed; a new worker goes on with the others.
-
-    Raises:
-        UserError: if the number of workers is out of range.
-    """
-    check_range("scale.workers", workers, 0, 1024)
-    waiting = list(reversed(homes))
-    idle = [ScenePool(observer, min(workers, 1)) for _ in range(max(workers, 1))]
-    running: dict[Future[str], tuple[str, ScenePool]] = {}
-    try:
-        while waiting or running:
-            while waiting and idle:
-                home, pool = waiting.pop(), idle.pop()
-                running[pool.submit(try_home, home, folder, recipe)] = home, pool
-            for task in wait(running, return_when=FIRST_COMPLETED).done:
-                home, pool = running.pop(task)
-                try:
-                    problem = task.result()
-                except BrokenProcessPool:
-                    pool.close()
-                    pool = ScenePool(observer, 1)
-                    problem = "its process was killed, as for want of memory; try it with scale.workers=1"
-                idle.append(pool)
-                yield home, problem
-    finally:
-        for pool in [*idle, *(pool for _, pool in running.values())]:
-            pool.close()
-
-
-def write_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> None:
-    """Render a home's views and write its chunk, then its record; runs in a worker process."""
-    _record(folder, scene).unlink(missing_ok=True)  # a home that fails now is none of the corpus any more
-    seed = (recipe.seed, Stream.SHARDS, crc32(scene.encode()))
-    items = []
-    for group in range(recipe.views // recipe.group):
-        items.append(encode(look(observer, scene, recipe.sampler, (*seed, group), recipe.group)))
-    chunk = _write_chunk(folder / _chunk(scene), items)
-    record = Record(scene, recipe.key(observer, scene), recipe.made_with(observer), len(items), chunk)
-    write_text(_record(folder, scene), json.dumps(record._asdict()))
-
-
-def try_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> str:
-    """Write a home; what went wrong, or an empty string."""
-    try:
-        write_home(observer, scene, folder, recipe)
-    except (
-        Exception
-    ) as error:  # whatever a scene source may raise: the other homes of the corpus do not wait for it
-        return f"{type(error).__name__}: {error}"
-    return ""
-
-
-def write_index(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, Any]:
-    """List everything written so far, for readers; returns the description.
-
-    Raises:
-        UserError: if nothing was written, or the folder holds homes that were made with other settings.
-    """
-    with open(folder / LOCK, "a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)  # else a job that listed fewer homes might write its list last
-        records = read_records(folder, observer, recipe)
-        if not records:
-            raise UserError(f"shards: no home was written to {folder}; see the messages above")
-        homes = {home: record.items for home, record in records.items()}
-        about = {"views": describe(observer), "group": recipe.group, "homes": homes}
-        first = _write_chunk(folder / ABOUT, [json.dumps(about).encode()])
-        chunks = [first["entry"], *(record.chunk["entry"] for record in records.values())]
-        # by this time alone litdata knows that what it keeps of a URL is out of date
-        index = {"chunks": chunks, "config": first["config"], "updated_at": str(time.time())}
-        write_text(folder / INDEX, json.dumps(index))
-    return about
-
-
-def describe(observer: Observer) -> dict[str, Any]:
-    """What the views of any home depend on, apart from the home."""
-    parts = ("camera", "sensor", "ego", "obstacles", "truth_spec")
-    table = {row.name: plain(row.members) for row in observer.categories}
-    return {**{part: plain(getattr(observer, part)) for part in parts}, "categories": table}
-
-
-def _as_read(description: dict[str, Any]) -> dict[str, Any]:
-    """The same after it went through a file."""
-    read: dict[str, Any] = json.loads(json.dumps(description))
-    return read
-
-
-def _difference(made_with: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
-    """The first part of a description in which views are not what is asked for; an empty string if there is none."""
-    for part, value in asked.items():
-        if made_with.get(part) != value:
-            return f"{part} {made_with.get(part)}, but the config asks for {value}"
-    return ""
+from imagination.views.collector import Stream, Views, concatenate
+from imagination.views.view import Observer
 
 
 def check_index(index: Any, folder: Path | None) -> None:
@@ -262,44 +47,6 @@ def check_index(index: Any, folder: Path | None) -> None:
             )
 
 
-def _prepare_litdata() -> None:
-    require_extra("litdata", "shards")
-    os.environ.setdefault(
-        "LITDATA_DISABLE_VERSION_CHECK", "1"
-    )  # else it asks PyPI, for 30 s where there is no network
-
-
-def _stem(scene: str) -> str:
-    """Name of a home's files: the home's own, unless it is a path or has characters that an index may not hold."""
-    allowed = re.sub(r"[^\w.+-]", "_", scene)
-    return scene if allowed == scene else f"{allowed}-{crc32(scene.encode()):08x}"
-
-
-def _chunk(scene: str) -> str:
-    return f"chunk-{_stem(scene)}.bin"
-
-
-def _record(folder: Path, scene: str) -> Path:
-    return folder / f"{_stem(scene)}.record.json"
-
-
-def _write_chunk(path: Path, items: Sequence[bytes]) -> dict[str, Any]:
-    """Write items as one chunk; what litdata's index says of it."""
-    _prepare_litdata()
-    from litdata.streaming.writer import BinaryWriter
-
-    with replacing(path) as temporary, TemporaryDirectory(dir=temporary.parent) as scratch:
-        writer = BinaryWriter(scratch, chunk_size=len(items) + 1)
-        for number, item in enumerate(items):
-            writer[number] = item
-        writer.done()
-        writer.merge(1)
-        index = json.loads((Path(scratch) / INDEX).read_text())
-        (entry,) = index["chunks"]
-        os.replace(Path(scratch) / entry["filename"], temporary)
-    return {"entry": {**entry, "filename": path.name}, "config": index["config"]}
-
-
 class Shards:
     """A corpus to read from.
 
@@ -313,7 +60,7 @@ class Shards:
     """
 
     def __init__(self, place: str, cache: str, cache_size: str) -> None:
-        _prepare_litdata()
+        prepare_litdata()
         from litdata import StreamingDataset
 
         self.place = place
@@ -353,7 +100,7 @@ class Shards:
         except Exception as error:  # litdata raises anything on a chunk that is cut off
             raise UserError(
                 f"data.shards: item {number} of {home} in {self.place} cannot be read ({error}); if it is damaged, "
-                f"remove {_chunk(home)} and write it again"
+                f"remove {chunk_name(home)} and write it again"
             ) from error
 
     def check(self, observer: Observer) -> None:
@@ -362,7 +109,7 @@ class Shards:
         Raises:
             UserError: with the first part that differs.
         """
-        if different := _difference(self.views, _as_read(describe(observer))):
+        if different := difference(self.views, as_read(describe(observer))):
             raise UserError(
                 f"data.shards: the views in {self.place} were made with {different}; choose the scale and "
                 "settings they were written with"

@@ -24,6 +24,8 @@ def validate(config: DictConfig) -> None:
         raise UserError("unit: got none, expected an .onnx, .pt2 or .ckpt file: unit=…")
     check_range("aggregation_factor", config.aggregation_factor, 0.0, 1.0)
     check_range("floor_height", config.floor_height, -1000.0, 1000.0, "m")
+    if config.max_speed is not None:
+        check_range("max_speed", config.max_speed, 0.0, 1e4, "m/s", open_low=True)
     check_range("threshold", config.threshold, 0.0, 1.0, open_low=True)
     for name, unit in (("field_of_view", "degrees"), ("mount_height", "m"), ("tilt", "degrees")):
         check_range(f"limits.{name}", config.limits[name], 0.0, 180.0, unit)

@@ -39,9 +39,7 @@ class OnnxModule:
             )
             metadata = self._session.get_modelmeta().custom_metadata_map
             self._inputs = {node.name for node in self._session.get_inputs()}
-        except (
-            Exception
-        ) as error:  # onnxruntime's errors have no common type that it exports; names may be no text
+        except Exception as error:  # onnxruntime exports no common type of its own
             raise UserError(f"{path}: cannot be read as ONNX ({error}); export it again") from error
         if KEY not in metadata:
             raise UserError(f"{path}: was not written by imagination.export")

@@ -194,10 +194,8 @@ class Pairing(Generic[T]):
     def _pairs(self) -> Iterator[tuple[Stamp, T, T]]:
         while any(self._waiting.values()):
             first, other = sorted(self._waiting, key=self._next)
-            stamp, partner = (
-                self._next(first),
-                self._next(other),
-            )  # to the oldest, the other's oldest is nearest
+            # to the oldest, the other's oldest is nearest
+            stamp, partner = self._next(first), self._next(other)
             if partner == inf and self._newest[other] <= stamp + self.tolerance:
                 return
             apart, later = partner - stamp, self._next(first, 1)

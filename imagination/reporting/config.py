@@ -9,7 +9,7 @@ import yaml
 from imagination.errors import UserError, check_range
 
 KINDS: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("scale", "data", "data.scenes", "data.scenes.splits", "model"), (dict,)),
+    **dict.fromkeys(("scale", "data", "data.scenes", "model"), (dict,)),
     **dict.fromkeys(("evaluation", "evaluation.approaches"), (dict,)),
     **dict.fromkeys(("evaluation.cell_widths", "unit_categories", "choices"), (list,)),
     "ckpt": (str, list),
@@ -18,7 +18,6 @@ KINDS: dict[str, tuple[type, ...]] = {
 
 RANGES: dict[str, tuple[float, float]] = {
     "scale.resolution": (0.005, 1.0),
-    "data.scenes.splits.test": (0, 10**9),
     "evaluation.seed": (0, 2**63),
     "evaluation.resamples": (1, 10**9),
     "evaluation.viewpoint_sets": (0, 10_000),

@@ -81,8 +81,8 @@ class Results:
     @property
     def homes_asked(self) -> int | None:
         """How many homes the test split has; None where the scene source alone knows."""
-        asked: int | None = at(self.config, "data.scenes.splits.test")
-        return asked
+        asked = at(self.config, "data.scenes.splits.test")
+        return asked if isinstance(asked, int) else None
 
     @property
     def resolution(self) -> float:

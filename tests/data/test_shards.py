@@ -15,8 +15,9 @@ from hydra.utils import instantiate
 
 from imagination import errors
 from imagination.config import compose
-from imagination.data import shards
-from imagination.data.shards import INDEX, Recipe, ShardCollector, Shards
+from imagination.data import corpus as corpora
+from imagination.data.corpus import INDEX, Recipe
+from imagination.data.shards import ShardCollector, Shards
 from imagination.errors import UserError
 from imagination.scenes.scene import Scene, Split
 from imagination.scenes.sensor import IdealSensor
@@ -38,8 +39,8 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("corpus")
     watcher = observer(tmp_path_factory.mktemp("cache"), Rooms(5))
     for home in HOMES:
-        shards.write_home(watcher, home, folder, RECIPE)
-    shards.write_index(folder, watcher, RECIPE)
+        corpora.write_home(watcher, home, folder, RECIPE)
+    corpora.write_index(folder, watcher, RECIPE)
     return folder
 
 
@@ -57,7 +58,7 @@ def test_what_is_written_is_read(corpus: Path, tmp_path: Path) -> None:
     read.check(watcher)
     from zlib import crc32
 
-    seed = (1, shards.Stream.SHARDS, crc32(b"train_3"), 4)
+    seed = (1, corpora.Stream.SHARDS, crc32(b"train_3"), 4)
     assert same(read.read("train_3", 4), look(watcher, "train_3", UniformPoses(), seed, 2))
 
 
@@ -154,17 +155,17 @@ def copy(corpus: Path, folder: Path) -> Path:
 def test_homes_made_with_other_settings_are_refused(corpus: Path, tmp_path: Path) -> None:
     folder, told = copy(corpus, tmp_path), r"made with sensor .*IdealSensor.* but the config asks for .*Noisy"
     watcher = observer(tmp_path, Rooms(2))  # which knows but two of the homes
-    assert shards.unwritten(folder, watcher, HOMES[:2], RECIPE) == []
-    assert len(shards.write_index(folder, watcher, RECIPE)["homes"]) == 5
+    assert corpora.unwritten(folder, watcher, HOMES[:2], RECIPE) == []
+    assert len(corpora.write_index(folder, watcher, RECIPE)["homes"]) == 5
     before = (folder / INDEX).read_bytes()
     noisy = replace(watcher, sensor=Noisy())
     with pytest.raises(UserError, match=told):  # before any is rendered
-        shards.unwritten(folder, noisy, HOMES[:2], RECIPE)
-    shards.write_home(noisy, "train_0", folder, RECIPE)
+        corpora.unwritten(folder, noisy, HOMES[:2], RECIPE)
+    corpora.write_home(noisy, "train_0", folder, RECIPE)
     with pytest.raises(UserError, match=told):
-        shards.write_index(folder, noisy, RECIPE)
+        corpora.write_index(folder, noisy, RECIPE)
     with pytest.raises(UserError, match=r"made with seed 1, but the config asks for 2"):
-        shards.write_index(copy(corpus, tmp_path / "seeds"), watcher, replace(RECIPE, seed=2))
+        corpora.write_index(copy(corpus, tmp_path / "seeds"), watcher, replace(RECIPE, seed=2))
     assert (folder / INDEX).read_bytes() == before
 
 
@@ -176,12 +177,12 @@ def test_a_home_that_changed_and_fails_now_leaves_the_corpus(corpus: Path, tmp_p
     folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rebuilt(5))
     for home in HOMES:
         if home != "train_1":
-            shards.write_home(watcher, home, folder, RECIPE)
-    assert shards.unwritten(folder, watcher, HOMES, RECIPE) == ["train_1"]
-    assert dict(shards.write_homes(watcher, ["train_1"], folder, RECIPE, 0)) == {
+            corpora.write_home(watcher, home, folder, RECIPE)
+    assert corpora.unwritten(folder, watcher, HOMES, RECIPE) == ["train_1"]
+    assert dict(corpora.write_homes(watcher, ["train_1"], folder, RECIPE, 0)) == {
         "train_1": "OSError: its roof is missing"
     }
-    shards.write_index(folder, watcher, RECIPE)
+    corpora.write_index(folder, watcher, RECIPE)
     assert list(opened(folder).homes) == ["train_0", "train_2", "train_3", "train_4"]
 
 
@@ -198,9 +199,9 @@ def test_a_home_whose_record_is_damaged_is_written_again(
     folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rooms(5))
     (folder / "train_1.record.json").write_text(content)
     (folder / "chunk-train_3.bin").unlink()
-    assert shards.unwritten(folder, watcher, HOMES, RECIPE) == ["train_1", "train_3"]
+    assert corpora.unwritten(folder, watcher, HOMES, RECIPE) == ["train_1", "train_3"]
     assert "train_1.record.json cannot be read" in caplog.text
-    shards.write_index(folder, watcher, RECIPE)
+    corpora.write_index(folder, watcher, RECIPE)
     assert list(opened(folder).homes) == ["train_0", "train_2", "train_4"]
 
 
@@ -209,8 +210,8 @@ def test_a_corpus_behind_a_url_may_grow(corpus: Path, tmp_path: Path) -> None:
     url = f"local://{folder}", str(tmp_path / "kept"), "1GB"  # litdata fetches it as it would from s3://
     assert same(Shards(*url).read("train_3", 4), opened(corpus).read("train_3", 4))
     assert list((tmp_path / "kept").rglob("chunk-train_3.bin"))
-    shards.write_home(watcher, "train_5", folder, RECIPE)
-    shards.write_index(folder, watcher, RECIPE)
+    corpora.write_home(watcher, "train_5", folder, RECIPE)
+    corpora.write_index(folder, watcher, RECIPE)
     grown = Shards(*url)
     assert list(grown.homes) == [*HOMES, "train_5"]
     assert same(grown.read("train_5", 0), opened(folder).read("train_5", 0))
@@ -222,9 +223,9 @@ def test_an_index_lists_all_that_was_there_when_it_is_written(corpus: Path, tmp_
     content = record.read_text()
     record.unlink()
     before = (folder / INDEX).read_bytes()
-    with open(folder / shards.LOCK, "a") as file:
+    with open(folder / corpora.LOCK, "a") as file:
         fcntl.flock(file, fcntl.LOCK_EX)  # as another job that writes the index
-        late = Thread(target=shards.write_index, args=(folder, watcher, RECIPE))
+        late = Thread(target=corpora.write_index, args=(folder, watcher, RECIPE))
         late.start()
         late.join(0.5)
         assert late.is_alive() and (folder / INDEX).read_bytes() == before
@@ -247,8 +248,8 @@ class Paths(Rooms):
 def test_a_home_may_be_named_by_a_path(tmp_path: Path) -> None:
     watcher, folder = observer(tmp_path / "cache", Paths()), tmp_path / "corpus"
     homes = Paths().scenes("train")
-    assert dict(shards.write_homes(watcher, homes, folder, RECIPE, 0)) == dict.fromkeys(homes, "")
-    shards.write_index(folder, watcher, RECIPE)
+    assert dict(corpora.write_homes(watcher, homes, folder, RECIPE, 0)) == dict.fromkeys(homes, "")
+    corpora.write_index(folder, watcher, RECIPE)
     assert sorted(opened(folder).homes) == homes
     assert {path.parent for path in tmp_path.rglob("*.record.json")} == {folder}
 
@@ -265,10 +266,10 @@ class Deadly(Rooms):
 def test_a_home_that_kills_its_worker_is_left_out(tmp_path: Path) -> None:
     watcher, folder = observer(tmp_path / "cache", Deadly(4)), tmp_path / "corpus"
     homes = Deadly(4).scenes("train")
-    problems = dict(shards.write_homes(watcher, homes, folder, RECIPE, workers=2))
+    problems = dict(corpora.write_homes(watcher, homes, folder, RECIPE, workers=2))
     assert set(problems) == set(homes) and "was killed" in problems.pop("train_1")
     assert not any(problems.values())
-    shards.write_index(folder, watcher, RECIPE)
+    corpora.write_index(folder, watcher, RECIPE)
     assert list(opened(folder).homes) == ["train_0", "train_2", "train_3"]
 
 
@@ -317,5 +318,5 @@ def test_the_config_builds(corpus: Path) -> None:
     module = instantiate(config.data.module)
     with pytest.raises(UserError, match="were made with"):
         module.collector(4)
-    assert json.loads((corpus / INDEX).read_text())["chunks"][0]["filename"] == shards.ABOUT
+    assert json.loads((corpus / INDEX).read_text())["chunks"][0]["filename"] == corpora.ABOUT
     assert np.isfinite(module.batch_size)

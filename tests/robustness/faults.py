@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from imagination import runs
 from imagination.checkpoints import Checkpoint, read_state
-from imagination.data.shards import ABOUT, INDEX
+from imagination.data.corpus import ABOUT, INDEX
 from imagination.deployment.export import export
 from tests.conftest import ROOT
 from tests.deployment.checkpoints import make_checkpoint, samples

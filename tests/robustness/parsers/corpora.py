@@ -14,7 +14,8 @@ HOME = "train_0"
 PARSERS: list[Parser] = []
 
 if find_spec("litdata") is not None:  # an optional extra
-    from imagination.data.shards import ABOUT, INDEX, Recipe, Shards, unwritten, write_home, write_index
+    from imagination.data.corpus import ABOUT, INDEX, Recipe, unwritten, write_home, write_index
+    from imagination.data.shards import Shards
 
     RECIPE = Recipe(UniformPoses(), seed=1, views=4, group=2)
 
