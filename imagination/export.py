@@ -53,7 +53,8 @@ def main(config: DictConfig) -> None:
     file = Path(config.file) if config.file else Path(paths[0]).with_suffix(SUFFIXES[config.format])
     if file.suffix != SUFFIXES[config.format]:
         raise UserError(f"file: got {file}, expected a name that ends in {SUFFIXES[config.format]}")
-    run = checkpoints[0].config
+    reference = SideBySide([CheckpointModule(Path(path), config.look_once) for path in paths])
+    run = checkpoints[0].config.copy()  # the checkpoint's own stays as it is
     run.cache.folder = config.paths.cache
     run.unit_categories = [name for checkpoint in checkpoints for name in checkpoint.config.unit_categories]
     samples = export.sample_views(run, "val", config.views)
@@ -62,7 +63,6 @@ def main(config: DictConfig) -> None:
     )
     with runs.replacing(file) as temporary:  # an earlier file stays unless this one is good
         export.export(checkpoints, temporary, config.format, config.precision, calibration, config.look_once)
-        reference = SideBySide([CheckpointModule(Path(path), config.look_once) for path in paths])
         check = export.compare(load(temporary), reference, samples)
         told = f"on {len(samples)} views: largest difference {check.difference:.2g}, IoU {check.told()}"
         unseen = set(run.unit_categories) - check.iou.keys()

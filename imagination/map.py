@@ -49,7 +49,7 @@ def main(config: DictConfig) -> None:
         finally:
             try:
                 if frames.mapped:  # whatever ended it
-                    mapper.save(folder, config.threshold)
+                    mapper.save(folder)
                     runs.point_latest(folder)
                     log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
             finally:

@@ -39,6 +39,9 @@ class Server(Protocol):
 def serve(config: DictConfig) -> None:
     """Serve until interrupted, then save the map."""
     module = configured.module_of(config)
+    configured.mapper_of(
+        config, module, RgbdCamera.of(module.description.camera)
+    )  # mistakes show before it listens
     server: Server = instantiate(config.server, _convert_="all")
     mappers: list[SemanticMapper] = []
 
@@ -54,11 +57,12 @@ def serve(config: DictConfig) -> None:
             server.serve(make_mapper)
         finally:  # whatever ended it, the map is kept
             if mappers and mappers[-1].frames:
-                mappers[-1].save(folder, config.threshold)
+                mappers[-1].save(folder)
                 runs.point_latest(folder)
                 log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
             else:
-                log.warning("No frame could be mapped; nothing is saved")
+                log.error("error: no frame could be mapped; nothing is saved")
+    sys.exit(0 if mappers and mappers[-1].frames else 1)
 
 
 def main() -> None:

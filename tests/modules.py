@@ -22,7 +22,8 @@ class Toy:
     def __init__(self, *categories: str, camera: Camera = CAMERA, ego: EgoGrid = EGO) -> None:
         names = categories or ("chair",)
         colours = tuple((200, 60 * number, 40) for number in range(len(names)))
-        self.description = Description(names, colours, camera, ego, Band(0.2, 1.5), 0.5, 0.62)
+        thresholds = (0.5,) * len(names)
+        self.description = Description(names, colours, thresholds, camera, ego, Band(0.2, 1.5), 0.5, 0.62)
 
     def __call__(self, observation: Observation) -> np.ndarray:
         cells = self.description.ego.cells

@@ -1,7 +1,10 @@
 """The documentation follows the code."""
 
+import os
 import re
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -37,6 +40,52 @@ def test_the_example_of_the_mapper_runs(
     with pytest.warns(UserWarning, match="field of view"):
         exec(compile(code, "README.md", "exec"), {})
     assert (load_layer(tmp_path / "my_map" / "map.yaml").layer >= 0).any()
+
+
+ONLY = """
+import re, sys
+from importlib.metadata import packages_distributions, requires
+from pathlib import Path
+allowed, wanted = set(), sys.argv[1:]
+while wanted:
+    name = re.split("[ ;<>=!~(]", wanted.pop(), maxsplit=1)[0].lower().replace("_", "-")
+    if name not in allowed:
+        allowed.add(name)
+        wanted += [each for each in requires(name) or [] if "extra ==" not in each]
+owners = packages_distributions().items()
+owners = {module: {name.lower().replace("_", "-") for name in names} for module, names in owners}
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        module = name.partition(".")[0]
+        if module != "imagination" and not owners.get(module, allowed) & allowed:
+            raise ImportError("not in the README's list: " + name)
+sys.meta_path.insert(0, Block())
+(code,) = re.findall(r"```python\\n(.*?)```", Path(sys.argv[0]).read_text(), re.DOTALL)
+exec(compile(code, "README.md", "exec"), {})
+from imagination.mapping.files import load_layer
+assert (load_layer("my_map/map.yaml").layer >= 0).any()
+try:
+    import hydra
+except ImportError as error:
+    print(error)
+"""
+
+
+def test_the_example_needs_no_other_packages_than_the_readme_says(tmp_path: Path, unit_file: Path) -> None:
+    readme = ROOT / "README.md"
+    (packages,) = re.findall(r"`pip install (numpy numba [^`]*)` are enough", readme.read_text())
+    (tmp_path / "best.onnx").symlink_to(unit_file)
+    code = ONLY.replace("sys.argv[0]", repr(str(readme)))
+    done = subprocess.run(
+        [sys.executable, "-c", code, *packages.split()],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "not in the README's list: hydra" in done.stdout  # the block works
 
 
 def test_the_smallest_scene_source_is_small() -> None:

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,8 +37,12 @@ def direct(unit_file: Path, frames: list[Taken]) -> Maps:
     return mapper.maps
 
 
+def at(maps: Maps, threshold: float) -> Maps:
+    return replace(maps, thresholds=(threshold,))
+
+
 def same(one: Maps, other: Maps) -> None:
-    assert (one.grid, one.categories) == (other.grid, other.categories)
+    assert (one.grid, one.categories, one.thresholds) == (other.grid, other.categories, other.thresholds)
     for name in ("written", "known"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     for name in ("probabilities", "occupancy"):
@@ -88,13 +93,16 @@ def test_a_corrupt_image_leaves_the_map_before_it(
 ) -> None:
     record_tum(tmp_path / "tum", frames, CAMERA)
     (tmp_path / "tum" / "rgb" / f"{seconds(frames[5].stamp)}.png").write_bytes(b"nothing")
-    done = command("map", "recording.path=tum", K, f"unit={unit_file}", "extent=3.0")
+    done = command("map", "recording.path=tum", K, f"unit={unit_file}", "extent=3.0", "threshold=0.3")
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert "7 bytes that are no image; what came before it is mapped and saved" in done.stderr
     assert "5 frames mapped" in done.stderr
     assert "lie outside the map of fixed size and are lost" in done.stderr
     maps = load_maps(tmp_path / "outputs" / "map" / "latest")
     assert maps.grid.columns == 25 and maps.known.sum() > 50
+    assert maps.thresholds == (0.3,)
+    found = load_objects(tmp_path / "outputs" / "map" / "latest" / "objects.geojson")
+    assert sum(thing.area for thing in found) > sum(thing.area for thing in at(maps, 0.55).objects())
 
 
 def test_the_map_has_the_frame_of_the_recording_and_survives_a_viewer_that_breaks(

@@ -26,9 +26,12 @@ def validate(config: DictConfig) -> None:
     check_range("floor_height", config.floor_height, -1000.0, 1000.0, "m")
     if config.max_speed is not None:
         check_range("max_speed", config.max_speed, 0.0, 1e4, "m/s", open_low=True)
-    check_range("threshold", config.threshold, 0.0, 1.0, open_low=True)
-    for name, unit in (("field_of_view", "degrees"), ("mount_height", "m"), ("tilt", "degrees")):
-        check_range(f"limits.{name}", config.limits[name], 0.0, 180.0, unit)
+    if config.threshold is not None:
+        check_range("threshold", config.threshold, 0.0, 1.0, open_low=True)
+    for name in ("field_of_view", "vertical_field_of_view", "tilt"):
+        check_range(f"limits.{name}", config.limits[name], 0.0, 180.0, "degrees")
+    check_range("limits.mount_height", config.limits.mount_height, 0.0, 180.0, "m")
+    check_range("limits.resolution", config.limits.resolution, 1.0, 1000.0, "times fewer pixels a degree")
 
 
 def module_of(config: DictConfig) -> ImaginationModule:
@@ -64,4 +67,5 @@ def mapper_of(
         config.frame or world,
         instantiate(config.limits),
         load_layer(config.start) if config.start else None,
+        config.threshold,
     )

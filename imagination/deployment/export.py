@@ -15,12 +15,12 @@ from torch import Tensor, nn
 
 from imagination.checkpoints import Checkpoint
 from imagination.deployment.onnx_module import KEY, NAMES, arrays
-from imagination.deployment.torch_module import ENTRY, Probabilities, describe, inputs
+from imagination.deployment.torch_module import ENTRY, Probabilities, TrainedUnit, inputs
 from imagination.errors import require_extra
 from imagination.evaluation.metrics import count, iou
 from imagination.geometry.morphology import kernel_cells
 from imagination.ground_truth.label import label
-from imagination.mapping.module import ImaginationModule, Observation, joined
+from imagination.mapping.module import Description, ImaginationModule, Observation, joined, valid_imagination
 from imagination.runs import replacing
 from imagination.scenes.scene import Split
 from imagination.units.encoders import TimmEncoder
@@ -40,8 +40,8 @@ class Check(NamedTuple):
 
     Attributes:
         difference: largest, of probabilities.
-        iou, reference_iou: of each category with the labels, pooled over views, at 0.5; of the file and of PyTorch.
-            Those that no label holds are left out: nothing can be said about them.
+        iou, reference_iou: of each category's egocentric map with the labels, pooled over views, at the category's
+            threshold; of the file and of PyTorch. Those that no label holds are left out: nothing can be said of them.
     """
 
     difference: float
@@ -92,11 +92,11 @@ def export(
         look_once: see `Probabilities`.
 
     Raises:
-        UserError: if what writes the format is not installed, the units do not fit together, or the disk is full.
+        UserError: if what writes the format is not installed, a checkpoint gives no maps, the units do not fit
+            together, or the disk is full.
     """
-    units = [checkpoint.model().unit for checkpoint in checkpoints]
-    module = Probabilities(units, look_once)  # type: ignore[arg-type]
-    description = reduce(joined, [describe(checkpoint.config) for checkpoint in checkpoints])
+    units, descriptions = zip(*map(TrainedUnit.of, checkpoints), strict=True)
+    module, description = Probabilities(list(units), look_once), reduce(joined, descriptions)
     text = description.to_json(precision=precision, normalisation=normalisation(module), look_once=look_once)
     example = inputs(calibration[0].observation)
     with torch.no_grad(), warnings.catch_warnings():  # torch's own, about its exporter
@@ -190,19 +190,36 @@ def sample_views(config: DictConfig, split: Split, count: int) -> list[Sample]:
 
 def compare(module: ImaginationModule, reference: ImaginationModule, samples: Sequence[Sample]) -> Check:
     """Ask two modules about the same views."""
-    answers = [(module(sample.observation), reference(sample.observation)) for sample in samples]
-    labels = np.stack([sample.label for sample in samples])
-    ours, theirs = (np.stack(list(column)) for column in zip(*answers, strict=True))
-
-    def score(answers: Float32[np.ndarray, "b c v v"]) -> dict[str, float]:
-        each = zip(module.description.categories, answers.swapaxes(0, 1), labels.swapaxes(0, 1), strict=True)
-        return {
-            name: float(iou(count(answer.reshape(-1, 1) >= 0.5, label.reshape(-1, 1))))
-            for name, answer, label in each
-            if label.any()
+    known, difference = module.description, 0.0
+    counts = np.zeros((2, len(known.categories), 3), np.int64)
+    for sample in samples:
+        answers = [each(sample.observation) for each in (module, reference)]
+        difference = max(difference, float(np.abs(answers[0] - answers[1]).max()))
+        for total, answer in zip(counts, answers, strict=True):
+            found = egocentric_map(answer, sample.observation.seen, known)
+            total += [count(*each) for each in zip(found, sample.label, strict=True)]
+    held = counts[0, :, 2] > 0
+    ours, theirs = (
+        {
+            name: float(value)
+            for name, value, there in zip(known.categories, iou(total), held, strict=True)
+            if there
         }
+        for total in counts
+    )
+    return Check(difference, ours, theirs)
 
-    return Check(float(np.abs(ours - theirs).max()), score(ours), score(theirs))
+
+def egocentric_map(
+    probabilities: Float32[np.ndarray, "c v v"], seen: Bool[np.ndarray, "v v"], known: Description
+) -> Bool[np.ndarray, "c v v"]:
+    """The objects of an answer, as training scores them: V_valid from the categories' thresholds on."""
+    said = valid_imagination(
+        probabilities, seen[None], known.valid_threshold, known.valid_kernel, known.ego.resolution
+    )
+    thresholds = np.array(known.thresholds, np.float32)[:, None, None]
+    objects: Bool[np.ndarray, "c v v"] = said.values >= thresholds
+    return objects
 
 
 def normalisation(module: Probabilities) -> list[dict[str, Any]]:

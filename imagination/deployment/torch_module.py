@@ -2,10 +2,10 @@
 
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.projection import Band
 from imagination.mapping.module import Description, Observation
+from imagination.units.metrics import THRESHOLDS
 from imagination.units.returns import Returns
 from imagination.units.unit import Unit
 
@@ -67,6 +68,33 @@ class Probabilities(nn.Module):
         return torch.cat(every, dim=1).float().sigmoid()
 
 
+class TrainedUnit(NamedTuple):
+    """What a checkpoint holds for a robot."""
+
+    unit: Unit
+    description: Description
+
+    @classmethod
+    def of(cls, checkpoint: Checkpoint) -> "TrainedUnit":
+        """Those of a checkpoint.
+
+        Raises:
+            UserError: if it segments images instead of imagining maps, or is damaged.
+        """
+        if checkpoint.predicts != "maps":
+            raise UserError(
+                f"unit: got {checkpoint.path}, which gives {checkpoint.predicts}, expected a checkpoint that gives "
+                "maps, as +experiment=chair_unet trains one"
+            )
+        model: Any = checkpoint.model()
+        if not 0 <= model.chosen.min() <= model.chosen.max() < len(THRESHOLDS):
+            raise UserError(
+                f"checkpoint {checkpoint.path}: got the thresholds number {model.chosen.tolist()}, expected 0 to "
+                f"{len(THRESHOLDS) - 1}; use another one"
+            )
+        return cls(model.unit, describe(checkpoint.config, model.chosen_thresholds.tolist()))
+
+
 class CheckpointModule:
     """A checkpoint of imagination.train.
 
@@ -79,9 +107,9 @@ class CheckpointModule:
     """
 
     def __init__(self, path: Path, look_once: bool = False) -> None:
-        checkpoint = Checkpoint.read(path)
-        self.description = describe(checkpoint.config)
-        self._run = Probabilities([checkpoint.model().unit], look_once)  # type: ignore[list-item]
+        trained = TrainedUnit.of(Checkpoint.read(path))
+        self.description = trained.description
+        self._run = Probabilities([trained.unit], look_once)
 
     @torch.inference_mode()
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
@@ -128,8 +156,8 @@ def _silence() -> Iterator[None]:
         log.disabled = before
 
 
-def describe(config: DictConfig) -> Description:
-    """What a run's config says of its unit."""
+def describe(config: DictConfig, chosen_thresholds: Sequence[float]) -> Description:
+    """What a run's config says of its unit, with the thresholds that its validation chose."""
     from hydra.utils import instantiate
 
     camera: Camera = instantiate(config.camera)
@@ -137,8 +165,9 @@ def describe(config: DictConfig) -> Description:
     obstacles: Band = instantiate(config.obstacles)
     names = tuple(config.unit_categories)
     colours = tuple(tuple(config.categories[name].colour) for name in names)
+    thresholds = tuple(round(value, 6) for value in chosen_thresholds)  # float32 makes .95 a little more
     mapping = config.mapping.valid_threshold, config.mapping.valid_kernel
-    return Description(names, colours, camera, ego, Band(*map(float, obstacles)), *mapping)
+    return Description(names, colours, thresholds, camera, ego, Band(*map(float, obstacles)), *mapping)
 
 
 def inputs(observation: Observation) -> tuple[Tensor, ...]:

@@ -18,6 +18,9 @@ from imagination.runs import write_text
 PROVENANCE = "provenance.json"
 """In tables/: where the numbers come from."""
 
+HOMES = "homes.csv"
+"""In tables/: the homes to measure; which of them are missing is seen where an evaluation stopped."""
+
 
 class Provenance(NamedTuple):
     """Where a report's numbers come from.
@@ -47,6 +50,11 @@ class Beside(NamedTuple):
 
     training: Sequence[tables.Row] = ()
     known: Report | None = None
+
+
+def write_homes(folder: Path, homes: Sequence[str]) -> None:
+    """Write the names of the homes that will be measured."""
+    write_text(folder / HOMES, tables.to_csv([{"home": home} for home in homes]))
 
 
 def write(

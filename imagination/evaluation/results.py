@@ -81,11 +81,11 @@ def evaluate(
         data.survey(split)
     source = data.observer.source
     choices = protocol.choose(subject, source.scenes("val"))
-    found = protocol.measure(
-        subject, source.scenes("test"), choices, save=lambda maps: map_files.save(folder, maps)
-    )
+    homes = source.scenes("test")
+    report.write_homes(folder / "tables", homes)
+    found = protocol.measure(subject, homes, choices, save=lambda maps: map_files.save(folder, maps))
     beside = report.Beside(describe(found), _known(protocol, subject, choices))
-    singles = single_views.measure(protocol, subject, source.scenes("test"), choices, data.imaginable)
+    singles = single_views.measure(protocol, subject, homes, choices, data.imaginable)
     resolution = subject.setting.ego.resolution
     origin = report.Provenance(
         command_line(),

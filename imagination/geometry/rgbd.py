@@ -17,6 +17,9 @@ from imagination.errors import UserError, check_range
 from imagination.geometry.camera import Camera
 from imagination.geometry.pose import Pose
 
+WIDEST = 10.0
+"""Of a ray's distance from the optical axis, at distance 1: 84 degrees."""
+
 SAME = 1e-6
 """Cameras whose rays differ by less than this many radians, or pixels of focal length, are one."""
 
@@ -247,14 +250,16 @@ class Alignment:
             maps = cv2.initUndistortRectifyMap(
                 source.matrix, distortion, turn, wanted.matrix, size, cv2.CV_32FC1
             )
-            return maps[0], maps[1]
+            lost = (along <= 0) | (apart >= valid_radius(distortion) * along)
+            return np.where(lost, np.float32(-2), maps[0]), np.where(lost, np.float32(-2), maps[1])
 
+        u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+        rays = np.stack([(u - wanted.cx) / wanted.fx, (v - wanted.cy) / wanted.fy, np.ones_like(u)])
+        x, y, along = np.tensordot(turn.T, rays, axes=1)  # in the source, of a point at depth 1 here
+        apart = np.hypot(x, y)
         self._colour_lookup = lookup(self._colour)
         if not self._beside:
             self._depth_lookup = lookup(self.camera.depth_intrinsics)
-            u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
-            rays = np.stack([(u - wanted.cx) / wanted.fx, (v - wanted.cy) / wanted.fy, np.ones_like(u)])
-            along = np.tensordot(turn.T, rays, axes=1)[2]  # depth in the source of a point at depth 1 here
             self._depth_scale = np.where(along > 0, 1 / np.maximum(along, 1e-6), 0).astype(np.float32)
         else:
             moved = turn @ self.camera.depth_to_colour[:3]
@@ -269,6 +274,24 @@ def _near(one: Intrinsics, other: Intrinsics) -> bool:
         and not any(one.distortion)
         and bool(np.allclose(one.matrix, other.matrix, atol=SAME, rtol=SAME))
     )
+
+
+def valid_radius(distortion: Float64[np.ndarray, " n"]) -> float:
+    """How far from the optical axis, at distance 1, a distortion still moves farther rays farther out.
+
+    Beyond, where it was never fitted, the polynomial of OpenCV's model folds rays back into the image.
+
+    Args:
+        distortion: k1, k2, p1, p2[, k3[, k4, k5, k6[, …]]].
+    """
+    k1, k2, _, _, k3, k4, k5, k6 = [*distortion, *[0.0] * 8][:8]
+    radius = np.linspace(0, WIDEST, 10_001)
+    square = radius**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        above = 1 + square * (k1 + square * (k2 + square * k3))
+        moved = radius * above / (1 + square * (k4 + square * (k5 + square * k6)))
+    folded = np.flatnonzero(~(np.diff(moved) > 0))  # NaN compares false
+    return float(radius[folded[0]]) if len(folded) else float("inf")
 
 
 def _rays(camera: Intrinsics, stride: int) -> Float64[np.ndarray, "h w 2"]:

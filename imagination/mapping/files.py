@@ -23,7 +23,7 @@ from imagination.mapping.maps import FREE, OCCUPIED, UNKNOWN, Layer, MapObject, 
 from imagination.mapping.pictures import draw_map
 from imagination.runs import replacing, write_text
 
-VERSION = 1
+VERSION = 2
 """Of semantic.npz."""
 
 SHADES = {FREE: 254, UNKNOWN: 205, OCCUPIED: 0}
@@ -42,16 +42,13 @@ class LoadedLayer(NamedTuple):
     layer: Layer
 
 
-def save_maps(
-    folder: Path, maps: Maps, colours: Sequence[tuple[int, int, int]], threshold: float = 0.5
-) -> None:
+def save_maps(folder: Path, maps: Maps, colours: Sequence[tuple[int, int, int]]) -> None:
     """Write everything into a folder, each file whole or not at all.
 
     Args:
         folder: made if it is not there.
         maps: to write.
         colours: of the categories, RGB.
-        threshold: probability from which a cell belongs to an object.
 
     Raises:
         UserError: if the disk is full or may not be written.
@@ -60,8 +57,8 @@ def save_maps(
     for category in maps.categories:
         save_layer(folder / f"{category}.yaml", maps.grid, maps.category_layer(category), "raw")
     save_semantic(folder / SEMANTIC, maps)
-    write_text(folder / OBJECTS, json.dumps(to_geojson(maps.objects(threshold), maps.frame), indent=1))
-    picture = draw_map(maps, colours, threshold)
+    write_text(folder / OBJECTS, json.dumps(to_geojson(maps.objects(), maps.frame), indent=1))
+    picture = draw_map(maps, colours)
     with replacing(folder / PICTURE) as temporary:
         temporary.write_bytes(_encoded(".png", picture[..., ::-1]))
 
@@ -149,6 +146,7 @@ def load_maps(folder: str | Path) -> Maps:
                 Grid(float(file["resolution"]), rows, columns, origin),
                 str(file["frame"]),
                 tuple(map(str, file["categories"])),
+                tuple(map(float, file["thresholds"])),
                 probabilities,
                 file["written"],
                 file["occupancy"],
@@ -163,7 +161,7 @@ def load_maps(folder: str | Path) -> Maps:
 
 
 def save_semantic(path: Path, maps: Maps) -> None:
-    """Write all layers with frame, origin, resolution, categories and a version."""
+    """Write all layers with frame, origin, resolution, categories, their thresholds and a version."""
     with replacing(path) as temporary:
         np.savez_compressed(
             temporary,
@@ -172,6 +170,7 @@ def save_semantic(path: Path, maps: Maps) -> None:
             origin=np.array(maps.grid.origin),
             resolution=maps.grid.resolution,
             categories=np.array(maps.categories),
+            thresholds=np.array(maps.thresholds),
             probabilities=maps.probabilities,
             written=maps.written,
             occupancy=maps.occupancy,

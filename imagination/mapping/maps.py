@@ -57,6 +57,7 @@ class Maps:
         grid: of all layers.
         frame: id of the frame that the grid's origin is given in.
         categories: of the layers.
+        thresholds: of the categories, probabilities from which a cell belongs to an object.
         probabilities: of each category; 0 where nothing was said.
         written: cells that a view has said something about.
         occupancy: probability that a cell is occupied; 0 where nothing was said.
@@ -66,6 +67,7 @@ class Maps:
     grid: Grid
     frame: str
     categories: tuple[str, ...]
+    thresholds: tuple[float, ...]
     probabilities: Float32[np.ndarray, "c h w"]
     written: Bool[np.ndarray, "c h w"]
     occupancy: Float32[np.ndarray, "h w"]
@@ -77,6 +79,10 @@ class Maps:
             got, wanted = getattr(self, name).shape, shape[-2:] if name in ("occupancy", "known") else shape
             if got != wanted:
                 raise UserError(f"{name}: got shape {got}, expected {wanted}")
+        if len(self.thresholds) != len(self.categories):
+            raise UserError(f"thresholds: got {len(self.thresholds)}, expected {len(self.categories)}")
+        for threshold in self.thresholds:
+            check_range("threshold", threshold, 0.0, 1.0, open_low=True)
 
     def occupancy_layer(self) -> Layer:
         """Occupied, free or unknown, as navigation takes it."""
@@ -95,20 +101,19 @@ class Maps:
         percent = np.rint(100 * self.probabilities[index]).astype(np.int8)
         return np.where(self.written[index], percent, np.int8(UNKNOWN))
 
-    def objects(self, threshold: float = 0.5, smallest: float = 0.02) -> list[MapObject]:
+    def objects(self, smallest: float = 0.02) -> list[MapObject]:
         """Connected cells of one category, as outlines along the cells' edges.
 
         Args:
-            threshold: probability from which a cell belongs to an object.
             smallest: objects of less than this many m2 are left out.
 
         Raises:
-            UserError: if either is out of range.
+            UserError: if it is out of range.
         """
-        check_range("threshold", threshold, 0.0, 1.0, open_low=True)
         check_range("smallest", smallest, 0.0, 100.0, "m2")
         found = []
-        for category, layer in zip(self.categories, self.probabilities, strict=True):
+        layers = zip(self.categories, self.probabilities, self.thresholds, strict=True)
+        for category, layer, threshold in layers:
             cells = (layer >= threshold).astype(np.uint8)
             count, labels, stats, _ = cv2.connectedComponentsWithStats(cells, connectivity=4)
             for label in range(1, count):

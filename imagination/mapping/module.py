@@ -17,7 +17,7 @@ from imagination.geometry.morphology import kernel_cells
 from imagination.geometry.projection import Band
 from imagination.ground_truth.label import neighbourhood
 
-VERSION = 1
+VERSION = 2
 """Of the description in a unit's file."""
 
 RESERVED = ("map", "objects", "occupancy")
@@ -31,6 +31,8 @@ class Description:
     Attributes:
         categories: that it imagines, one map each.
         colours: of the categories in pictures, RGB, 0 to 255.
+        thresholds: of the categories, probabilities from which a cell is of an object; what training chose on views of
+            validation homes, since a loss that weighs cells, as the paper's does, moves probabilities away from 0.5.
         camera: whose images it takes.
         ego: grid of its maps.
         obstacles: heights that count as occupied.
@@ -39,6 +41,7 @@ class Description:
 
     categories: tuple[str, ...]
     colours: tuple[tuple[int, int, int], ...]
+    thresholds: tuple[float, ...]
     camera: Camera
     ego: EgoGrid
     obstacles: Band
@@ -55,8 +58,11 @@ class Description:
                 raise UserError(
                     f"units: got the category {name!r}, expected letters, digits, _ and -, not {', '.join(RESERVED)}"
                 )
-        if len(self.colours) != len(self.categories):
-            raise UserError(f"units: got {len(self.colours)} colours for {len(self.categories)} categories")
+        for name in ("colours", "thresholds"):
+            if (count := len(getattr(self, name))) != len(self.categories):
+                raise UserError(f"units: got {count} {name} for {len(self.categories)} categories")
+        for threshold in self.thresholds:
+            check_range("thresholds", threshold, 0.0, 1.0, open_low=True)
         check_range("ego.resolution", self.ego.resolution, 0.005, 1.0, "m")
         check_range("ego.cells", self.ego.cells, 3, MAX_CELLS, "cells")
         check_range("valid_threshold", self.valid_threshold, 0.0, 1.0)
@@ -82,6 +88,7 @@ class Description:
             return cls(
                 tuple(map(str, values["categories"])),
                 tuple((int(r), int(g), int(b)) for r, g, b in values["colours"]),
+                tuple(map(float, values["thresholds"])),
                 Camera(**values["camera"]),
                 EgoGrid(**values["ego"]),
                 Band(**values["obstacles"]),
@@ -185,4 +192,5 @@ def joined(one: Description, other: Description) -> Description:
                 f"units: got the {name} {getattr(one, name)} of {', '.join(one.categories)} and "
                 f"{getattr(other, name)} of {', '.join(other.categories)}, expected one; use units trained alike"
             )
-    return replace(one, categories=one.categories + other.categories, colours=one.colours + other.colours)
+    own = ("categories", "colours", "thresholds")  # of each category
+    return replace(one, **{name: getattr(one, name) + getattr(other, name) for name in own})

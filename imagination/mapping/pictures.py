@@ -15,23 +15,23 @@ FAINT = 0.1
 """Probabilities below are not drawn."""
 
 
-def draw_map(maps: Maps, colours: Colours, threshold: float) -> Picture:
-    """Occupancy in grey; a category's colour over it, full from the threshold on, weak where it is less likely."""
+def draw_map(maps: Maps, colours: Colours) -> Picture:
+    """Occupancy in grey; a category's colour over it, full from its threshold on, weak where it is less likely."""
     layer = maps.occupancy_layer()
     picture = np.full((*layer.shape, 3), UNKNOWN_COLOUR, np.float32)
     picture[layer == FREE] = FREE_COLOUR
     picture[layer == OCCUPIED] = OCCUPIED_COLOUR
-    return paint(picture, maps.probabilities, colours, threshold)
+    return paint(picture, maps.probabilities, colours, maps.thresholds)
 
 
 def paint(
     picture: Float32[np.ndarray, "h w 3"],
     probabilities: Float32[np.ndarray, "c h w"],
     colours: Colours,
-    threshold: float,
+    thresholds: Sequence[float],
 ) -> Picture:
     """Lay the categories' colours over a picture; see `draw_map`."""
-    for layer, colour in zip(probabilities, colours, strict=True):
+    for layer, colour, threshold in zip(probabilities, colours, thresholds, strict=True):
         weight = np.select([layer >= threshold, layer >= FAINT], [np.float32(0.85), 0.5 * layer / threshold])
         picture = picture + weight[..., None] * (np.array(colour, np.float32) - picture)
     rounded: Picture = np.rint(picture).astype(np.uint8)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from imagination.errors import UserError
+from imagination.errors import UserError, check_range
 from imagination.geometry.grid import Grid
 from imagination.geometry.morphology import close, dilate, kernel_cells
 from imagination.geometry.pose import Pose
@@ -90,9 +90,11 @@ class SemanticMapper:
         frame: id of the world's frame, written into the map.
         limits: how far the camera may be from the units'.
         start: occupancy to start from.
+        threshold: probability from which a cell belongs to an object; each category's own if None.
 
     Raises:
-        UserError: if the camera is too far from the units', or the grid's resolution is not theirs.
+        UserError: if the camera is too far from the units', the grid's resolution is not theirs, or the threshold is
+            out of range.
 
     Attributes:
         frames: registered so far.
@@ -108,11 +110,16 @@ class SemanticMapper:
         frame: str = "map",
         limits: Limits | None = None,
         start: LoadedLayer | None = None,
+        threshold: float | None = None,
     ) -> None:
         self.module, self.description = module, module.description
         self.camera = camera or RgbdCamera.of(self.description.camera)
         self.floor_height, self.frame, self.limits = floor_height, frame, limits or Limits()
         self.grows, self.frames = grid is None, 0
+        self._thresholds = self.description.thresholds
+        if threshold is not None:
+            check_range("threshold", threshold, 0.0, 1.0, open_low=True)
+            self._thresholds = (float(threshold),) * len(self.description.categories)
         self._rule, self._start = rule or MovingAverage(), start
         self._alignment = Alignment(self.camera, self.description.camera)
         self._warned: set[str] = set()
@@ -175,20 +182,19 @@ class SemanticMapper:
             raise UserError("map: got no frame yet, expected at least one update")
         mapper = self._mapper
         values, written = mapper.probabilities, mapper.written
-        categories = self.description.categories
-        return Maps(mapper.grid, self.frame, categories, values[1:], written[1:], values[0], written[0])
+        about = mapper.grid, self.frame, self.description.categories, self._thresholds
+        return Maps(*about, values[1:], written[1:], values[0], written[0])
 
-    def save(self, folder: str | Path, threshold: float = 0.5) -> None:
+    def save(self, folder: str | Path) -> None:
         """Write the map in all formats; see `imagination.mapping.files`.
 
         Args:
             folder: made if it is not there.
-            threshold: probability from which a cell belongs to an object.
 
         Raises:
             UserError: if there has been no frame yet, or the folder cannot be written.
         """
-        files.save_maps(Path(folder), self.maps, self.description.colours, threshold)
+        files.save_maps(Path(folder), self.maps, self.description.colours)
 
     def _mapper_at(self, pose: Pose) -> Mapper:
         """The global map, with room for a view from `pose` where it may grow."""

@@ -94,7 +94,9 @@ class BagRecording:
         )
         if mount is not None:
             base, matrix = mount_of(mount)
-            self.transforms.add(base, self.frame, 0, matrix, fixed=True)
+            root = self.transforms.ancestors(self.frame)[-1]  # drivers publish the frames within their camera
+            within = self.transforms.between(root, self.frame)
+            self.transforms.add(base, root, 0, matrix @ within, fixed=True)
         for child in {*self.transforms.ancestors(self.frame), *self.transforms.ancestors(self._depth_frame)}:
             if child in self._conflicts:
                 raise self._conflicts[child]

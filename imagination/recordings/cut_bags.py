@@ -5,6 +5,7 @@ https://mcap.dev/spec, https://wiki.ros.org/Bags/Format/2.0 and, for .db3, https
 """
 
 import bz2
+import re
 import sqlite3
 import struct
 import sys
@@ -62,7 +63,7 @@ class CutBag:
     """
 
     def __init__(self, path: Path) -> None:
-        files = sorted(path.glob("*")) if path.is_dir() else [path]
+        files = sorted(path.glob("*"), key=_in_order) if path.is_dir() else [path]
         self.parts = [(FORMATS[file.suffix], file) for file in files if file.suffix in FORMATS]
         self.ros1 = path.suffix == ".bag"
         self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
@@ -95,6 +96,12 @@ class CutBag:
     def _every(self) -> Messages:
         for read, file in self.parts:
             yield from read(file)
+
+
+def _in_order(file: Path) -> list[tuple[bool, int, str]]:
+    """Sorts the files of a split bag, whose names end in numbers: _2 before _10."""
+    parts = re.split(r"([0-9]+)", file.name)
+    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]
 
 
 def read_mcap(path: Path) -> Messages:

@@ -10,7 +10,7 @@ from jaxtyping import Float32, Float64, UInt8
 
 from imagination.errors import UserError
 from imagination.geometry.rgbd import RgbdCamera
-from imagination.recordings.trajectory import Jumps, Stamp
+from imagination.recordings.trajectory import Jumps, Order, Stamp
 
 
 class Images(NamedTuple):
@@ -104,15 +104,13 @@ class Frames:
         self._skipped[reason] += 1
 
     def __iter__(self) -> Iterator[Frame]:
-        last: Stamp | None = None
-        jumps = Jumps(self.max_speed)
+        order, jumps = Order(), Jumps(self.max_speed)
         for shot in self.recording.shots():
             if shot.camera_to_world is None:
                 self._skipped["no pose at its time"] += 1
-            elif last is not None and shot.stamp <= last:
-                self._skipped["repeated time stamp" if shot.stamp == last else "time stamp out of order"] += 1
+            elif fault := order.fault(shot.stamp):
+                self._skipped[fault] += 1
             else:
-                last = shot.stamp
                 try:
                     jumps.check(shot.stamp, shot.camera_to_world)
                 except UserError as error:

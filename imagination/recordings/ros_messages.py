@@ -23,7 +23,7 @@ from imagination.recordings.images import (
     to_metres,
 )
 from imagination.recordings.recording import BrokenRecordingError
-from imagination.recordings.trajectory import SECOND, Stamp, matrix_of
+from imagination.recordings.trajectory import JUMP, SECOND, Stamp, matrix_of
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
@@ -165,8 +165,8 @@ class Pairing(Generic[T]):
     """
 
     def __init__(self, tolerance: float, most: int = 30) -> None:
-        self.tolerance = round(tolerance * SECOND)
-        self.most = most
+        self.tolerance, self.most = round(tolerance * SECOND), most
+        self.horizon = self.tolerance + round(JUMP * SECOND)
         self._given_up = 0
         self._waiting: dict[str, list[tuple[Stamp, T]]] = {"colour": [], "depth": []}  # in order of time
         self._newest: dict[str, float] = {"colour": -inf, "depth": -inf}
@@ -178,9 +178,10 @@ class Pairing(Generic[T]):
 
     def add(self, kind: str, stamp: Stamp, item: T) -> list[tuple[Stamp, T, T]]:
         """Add a message of the kind `colour` or `depth`; the pairs that are clear now, as (stamp, colour, depth)."""
+        found = self.rest() if self._set_anew(stamp) else []
         insort(self._waiting[kind], (stamp, item), key=itemgetter(0))
         self._newest[kind] = stamp
-        found = list(self._pairs())
+        found += self._pairs()
         if len(self._waiting[kind]) > self.most:
             self._waiting[kind].pop(0)
             self._given_up += 1
@@ -189,7 +190,16 @@ class Pairing(Generic[T]):
     def rest(self) -> list[tuple[Stamp, T, T]]:
         """The pairs that are left where no message comes any more."""
         self._newest = {"colour": inf, "depth": inf}
-        return list(self._pairs())
+        found = list(self._pairs())
+        self._newest = {"colour": -inf, "depth": -inf}
+        return found
+
+    def _set_anew(self, stamp: Stamp) -> bool:
+        """Whether a time is so far from those before that they find no partner any more: a clock was set anew, or one
+        of the times is stray."""
+        waiting = [entry[0] for entries in self._waiting.values() for entry in entries]
+        known = [time for time in self._newest.values() if time != -inf]
+        return any(abs(time - stamp) > self.horizon for time in (*waiting, *known))
 
     def _pairs(self) -> Iterator[tuple[Stamp, T, T]]:
         while any(self._waiting.values()):

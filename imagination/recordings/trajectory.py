@@ -142,6 +142,29 @@ class Trajectory:
         return interpolate(self._matrices[after - 1], self._matrices[after], (stamp - begin) / (end - begin))
 
 
+class Order:
+    """Tells frames that come again or too late.
+
+    One that is far behind, by more than `JUMP`, is not believed; a later one beside it is: the time before was stray,
+    or the clock was set anew.
+    """
+
+    def __init__(self) -> None:
+        self._last: Stamp | None = None
+        self._behind: Stamp | None = None
+
+    def fault(self, stamp: Stamp) -> str:
+        """Take the next time in; what is wrong with it, nothing if it is in order."""
+        if self._last is not None and stamp <= self._last:
+            behind, self._behind = self._behind, stamp if self._last - stamp > JUMP * SECOND else None
+            if stamp == self._last:
+                return "repeated time stamp"
+            if behind is None or self._behind is None or not 0 < stamp - behind <= JUMP * SECOND:
+                return "time stamp out of order"
+        self._last, self._behind = stamp, None
+        return ""
+
+
 Place = tuple[Stamp, Float64[np.ndarray, " 3"]]
 """When, and where."""
 

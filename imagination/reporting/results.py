@@ -18,7 +18,7 @@ from imagination.evaluation import map_files, single_views
 from imagination.evaluation.map_files import SavedMaps
 from imagination.evaluation.metrics import count
 from imagination.evaluation.outcome import Key
-from imagination.evaluation.report import PROVENANCE
+from imagination.evaluation.report import HOMES, PROVENANCE
 from imagination.evaluation.runs import Run
 from imagination.evaluation.selection import THRESHOLDS
 from imagination.evaluation.single_views import SingleView
@@ -29,6 +29,9 @@ log = logging.getLogger(__name__)
 
 MOST_RESAMPLES = 100_000
 """Beyond, intervals no longer change, and take long."""
+
+MOST_NAMED = 60
+"""Homes that are missing; a study of the paper's size has as many."""
 
 MOST_PIXELS = 10**12
 """Of a count: sums of many stay exact."""
@@ -79,12 +82,6 @@ class Results:
         return list(dict.fromkeys(home for runs in self.counts.values() for home, _ in runs))
 
     @property
-    def homes_asked(self) -> int | None:
-        """How many homes the test split has; None where the scene source alone knows."""
-        asked = at(self.config, "data.scenes.splits.test")
-        return asked if isinstance(asked, int) else None
-
-    @property
     def resolution(self) -> float:
         """Metres per cell."""
         return float(at(self.config, "scale.resolution") or "nan")
@@ -104,10 +101,8 @@ class Results:
         """Counts of every run that is there; told in `problems` what is not."""
         found = self._from_table()
         if not found and self.maps:
-            homes, asked = len({saved.run.home for saved in self.maps}), self.homes_asked
             self.problems.append(
-                "tables/runs.csv is missing: counted again from the maps saved so far, "
-                f"of {homes}{f' of {asked}' if asked else ''} homes"
+                f"tables/runs.csv is missing: counted again from the maps saved so far, of {self._homes_so_far()}"
             )
             found = recount(self.maps)
         elif not found:
@@ -181,6 +176,15 @@ class Results:
     def cell_widths(self) -> list[float]:
         """Widest first, as in the paper."""
         return sorted({key.cell_width for key in self.counts}, reverse=True)
+
+    def _homes_so_far(self) -> str:
+        """How many homes have maps, of how many that were to be measured, and which have none."""
+        there = {saved.run.home for saved in self.maps}
+        asked = [row["home"] for row in self.table(HOMES) if "home" in row]
+        if not (lost := [home for home in asked if home not in there]):
+            return f"{len(there)} homes"
+        more = f" and {len(lost) - MOST_NAMED} more" if len(lost) > MOST_NAMED else ""
+        return f"{len(there)} of {len(asked)} homes; missing: {', '.join(lost[:MOST_NAMED])}{more}"
 
     def _from_table(self) -> dict[Key, Runs]:
         path = self.folder / "tables" / "runs.csv"

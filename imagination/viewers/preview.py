@@ -130,7 +130,8 @@ def draw_update(
     projection = np.full((*update.seen.shape, 3), UNKNOWN_COLOUR, np.float32)
     projection[update.seen] = FREE_COLOUR
     projection[update.occupied] = OCCUPIED_COLOUR
-    imagined = paint(projection, np.where(update.mask, update.probabilities, np.float32(0)), colours, 0.5)
+    said = np.where(update.mask, update.probabilities, np.float32(0))
+    imagined = paint(projection, said, colours, maps.thresholds)
     panels = [
         _panel(update.rgb, "colour"),
         _panel(shaded, "depth"),
@@ -138,7 +139,7 @@ def draw_update(
         _panel(imagined, ", ".join(maps.categories)),
     ]
     left = np.vstack([np.hstack(panels[:2]), np.hstack(panels[2:])])
-    return np.hstack([left, _with_path(draw_map(maps, colours, 0.5), maps, path)])
+    return np.hstack([left, _with_path(draw_map(maps, colours), maps, path)])
 
 
 def _panel(image: Picture, title: str) -> UInt8[np.ndarray, "p q 3"]:

@@ -68,7 +68,7 @@ class Rerun:
     def _show_map(self) -> None:
         """The map as a picture, the path over it in its pixels."""
         maps = self._mapper.maps
-        self._stream.log("map", self._rerun.Image(draw_map(maps, self._mapper.description.colours, 0.5)))
+        self._stream.log("map", self._rerun.Image(draw_map(maps, self._mapper.description.colours)))
         places = np.array([[pose.x, pose.y] for pose in self._path])
         pixels = (places - maps.grid.origin) / maps.grid.resolution
         pixels[:, 1] = maps.grid.rows - pixels[:, 1]

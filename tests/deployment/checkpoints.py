@@ -14,18 +14,23 @@ from imagination.geometry.pose import Pose
 from imagination.geometry.projection import project_depth
 from imagination.mapping.module import Observation
 from imagination.scenes.renderer import Renderer
+from imagination.units.metrics import THRESHOLDS
 from tests.modules import CAMERA, EGO, Toy
 from tests.rooms import tiny_room
 
 
-def make_checkpoint(path: Path, *choices: str) -> Path:
-    """A checkpoint as training would write it, of a unit that was never trained; at scale=test unless chosen."""
+def make_checkpoint(path: Path, *choices: str, threshold: float = 0.5) -> Path:
+    """A checkpoint as training would write it, of a unit that was never trained; at scale=test unless chosen.
+
+    `threshold` stands for what a validation would have chosen.
+    """
     every = [*choices] if any(choice.startswith("scale=") for choice in choices) else ["scale=test", *choices]
     config = compose("train", [*every, "paths.run=."])
     OmegaConf.update(config, "choices", every)
     torch.manual_seed(0)
     model = instantiate(config.model.module)
     liven(model.unit, config)
+    model.chosen.fill_(THRESHOLDS.index(threshold))
     description = ConfigInCheckpoint(config).description
     torch.save({"state_dict": model.state_dict(), KEY: description}, path)
     return path

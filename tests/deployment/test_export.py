@@ -5,6 +5,7 @@ import logging
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from omegaconf import OmegaConf
 
-from imagination.checkpoints import Checkpoint
+from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint
 from imagination.config import compose
 from imagination.deployment.export import Sample, compare, export, sample_views
 from imagination.deployment.load import load
@@ -31,8 +33,10 @@ from tests.modules import CAMERA, EGO, Toy
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """chair.ckpt, bed.ckpt (of another variant), chair.onnx, both.onnx and both.pt2."""
     folder = tmp_path_factory.mktemp("units")
-    chair = Checkpoint.read(make_checkpoint(folder / "chair.ckpt"))
-    bed = Checkpoint.read(make_checkpoint(folder / "bed.ckpt", "model=projected", "unit_categories=[bed]"))
+    chair = Checkpoint.read(make_checkpoint(folder / "chair.ckpt", threshold=0.8))
+    bed = Checkpoint.read(
+        make_checkpoint(folder / "bed.ckpt", "model=projected", "unit_categories=[bed]", threshold=0.65)
+    )
     views = samples(2)
     export([chair], folder / "chair.onnx", "onnx", "float32", views)
     export([chair, bed], folder / "both.onnx", "onnx", "float32", views)
@@ -88,6 +92,7 @@ def told_by(file: Path) -> dict[str, Any]:
 def test_what_the_file_says_of_itself(files: Path) -> None:
     told = told_by(files / "both.onnx")
     assert told["categories"] == ["chair", "bed"] and told["precision"] == "float32"
+    assert told["thresholds"] == [0.8, 0.65]  # what their validations chose
     assert told["ego"] == {"resolution": EGO.resolution, "cells": EGO.cells}
     assert told["camera"]["width"] == CAMERA.width and told["camera"]["mount_height"] == 1.25
     np.testing.assert_allclose(
@@ -101,6 +106,8 @@ def test_it_maps_as_the_checkpoint_does(files: Path) -> None:
         ours.update(*frame)
         theirs.update(*frame)
     np.testing.assert_allclose(ours.maps.probabilities, theirs.maps.probabilities, atol=1e-3)
+    assert ours.maps.thresholds == theirs.maps.thresholds == (0.8,)
+    assert SemanticMapper(load(files / "both.onnx")).description.thresholds == (0.8, 0.65)
 
 
 WITHOUT_TORCH = """
@@ -161,6 +168,17 @@ def test_what_is_no_unit_is_refused(files: Path, tmp_path: Path) -> None:
         load([files / "chair.onnx", files / "chair.ckpt"])
 
 
+def test_a_checkpoint_that_segments_images_is_refused(files: Path, tmp_path: Path) -> None:
+    state = torch.load(files / "chair.ckpt", weights_only=True)
+    config = compose("train", ["+experiment=segmentation_hrnet", "scale=test", "paths.run=."])
+    OmegaConf.update(config, "choices", ["+experiment=segmentation_hrnet", "scale=test"])
+    torch.save(state | {KEY: ConfigInCheckpoint(config).description}, tmp_path / "hrnet.ckpt")
+    with pytest.raises(
+        UserError, match=r"hrnet.ckpt, which gives images, expected a checkpoint that gives maps"
+    ):
+        load(tmp_path / "hrnet.ckpt")
+
+
 def doubled(content: bytes) -> bytes:
     """A unit that gives each of its maps twice."""
     model = onnx.load_from_string(content)
@@ -207,6 +225,7 @@ class Fixed(Toy):
 
     def __init__(self, answer: np.ndarray) -> None:
         super().__init__("chair", "bed")
+        self.description = replace(self.description, thresholds=(0.6, 0.8))
         self.answer = answer
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -214,16 +233,22 @@ class Fixed(Toy):
 
 
 def test_a_comparison_by_hand() -> None:
-    """Of two views, each category for itself; only the views' labels are looked at here."""
+    """Of two views, each category for itself at its own threshold, where an object is that was seen."""
     labels = np.array([[[[1, 0], [1, 1]], [[0, 0], [0, 0]]], [[[0, 0], [0, 0]], [[1, 0], [0, 0]]]], np.bool_)
-    given = [Sample(sample.observation, label) for sample, label in zip(samples(2), labels, strict=True)]
-    ours = np.array([[[0.9, 0.5], [0.2, 0.7]], [[0.1, 0.2], [0.3, 0.4]]], np.float32)
-    check = compare(Fixed(ours), Fixed(np.full((2, 2, 2), 0.6, np.float32)), given)
-    # ours, chair: first view 2 of 3 and one false, second view three false; bed: nothing, and one missed
+    seen = np.ones((2, 2), np.bool_)
+    given = [
+        Sample(sample.observation._replace(seen=seen), label)
+        for sample, label in zip(samples(2), labels, strict=True)
+    ]
+    ours = np.array([[[0.9, 0.6], [0.2, 0.7]], [[0.1, 0.2], [0.3, 0.7]]], np.float32)
+    check = compare(Fixed(ours), Fixed(np.full((2, 2, 2), 0.85, np.float32)), given)
+    # ours, chair, from 0.6 on: first view 2 of 3 and one false, second view three false; bed, from 0.8: one missed
     assert check.iou == pytest.approx({"chair": 2 / 7, "bed": 0.0})
     assert check.reference_iou == pytest.approx({"chair": 3 / 8, "bed": 1 / 8})
-    assert check.loss == pytest.approx(1 / 8) and check.difference == pytest.approx(0.5)
+    assert check.loss == pytest.approx(1 / 8) and check.difference == pytest.approx(0.75)
     assert check.told() == "chair 0.2857 (PyTorch 0.3750), bed 0.0000 (PyTorch 0.1250)"
+    blind = [Sample(sample.observation._replace(seen=~seen), sample.label) for sample in given]
+    assert compare(Fixed(ours), Fixed(ours), blind).iou == {"chair": 0.0, "bed": 0.0}
     assert compare(Fixed(0 * ours), Fixed(ours), given[:1]).iou == {"chair": 0.0}  # no bed is there
 
 
@@ -284,12 +309,13 @@ def test_bfloat16_costs_a_trained_unit_half_a_point_at_most(tmp_path: Path) -> N
         ("onnx", "look_once=true"),
         ("torch_export", "precision=float32"),
         ("torch_export", "precision=bfloat16"),
+        ("onnx", "ckpt=[{0}/chair.ckpt,{0}/bed.ckpt]"),
     ],
 )
 def test_the_command(files: Path, command: Command, format: str, how: str) -> None:
     """On homes of the run; units that were never trained find little, so the limit on IoU is wide here."""
-    chair, file = files / "chair.ckpt", f"chair{'.onnx' if format == 'onnx' else '.pt2'}"
-    arguments = [f"ckpt={chair}", f"format={format}", how, "views=16", "max_loss=0.1"]
+    how, file = how.format(files), f"chair{'.onnx' if format == 'onnx' else '.pt2'}"
+    arguments = [f"ckpt={files / 'chair.ckpt'}", f"format={format}", how, "views=16", "max_loss=0.1"]
     done = command("export", *arguments, f"file={file}", timeout=600)
     assert done.returncode == 0, done.stderr
     assert "on 16 views: largest difference" in done.stderr

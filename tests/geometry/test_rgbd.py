@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.geometry.pose import Pose
-from imagination.geometry.rgbd import Alignment, Intrinsics, Placement, RgbdCamera
+from imagination.geometry.rgbd import Alignment, Intrinsics, Placement, RgbdCamera, valid_radius
 from imagination.scenes.renderer import Renderer
 from tests.rooms import tiny_room
 
@@ -142,6 +142,28 @@ def test_distortion_is_taken_out() -> None:
     inside = (x > 0) & (x < 79) & (y > 0) & (y < 79)
     assert inside.mean() > 0.5
     assert np.abs(got - 1 - x)[inside].max() <= 0.51
+
+
+def test_rays_that_the_lens_never_saw_stay_black() -> None:
+    """Beyond the radius up to which it was fitted, the polynomial of a usual lens folds rays back into the image."""
+    k = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5, (0.16, -0.27, 0.0, 0.0, 0.0))
+    radius = np.linspace(0, 2, 100_001)
+    moved = radius * (1 + 0.16 * radius**2 - 0.27 * radius**4)
+    farthest = radius[moved.argmax()]
+    assert valid_radius(np.array(k.distortion)) == pytest.approx(farthest, abs=2e-3)
+    assert valid_radius(np.zeros(5)) == valid_radius(np.array([-0.2, 0.05, 0.0, 0.0])) == np.inf
+    assert valid_radius(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0])) == np.inf  # divided by as much
+    assert valid_radius(np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0])) < 1  # its denominator passes 0
+    white, depth = np.full((480, 640, 3), 255, np.uint8), np.full((480, 640), 2.0, np.float32)
+    rgb, got = Alignment(RgbdCamera(k), TARGET)(white, depth, np.eye(3))
+    ideal = Intrinsics.of(TARGET)
+    u, v = np.meshgrid(np.arange(64), np.arange(64))
+    x, y = (u - ideal.cx) / ideal.fx, (v - ideal.cy) / ideal.fy
+    away = np.hypot(x, y)
+    assert (away > farthest).any()
+    assert not rgb[away > farthest].any() and not got[away > farthest].any()
+    middle = (np.abs(x) < 0.5) & (np.abs(y) < 0.4)
+    assert (rgb[middle] == 255).all() and (got[middle] == 2).all()
 
 
 @given(

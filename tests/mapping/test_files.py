@@ -15,7 +15,7 @@ from imagination.errors import UserError
 from imagination.geometry.grid import Grid
 from imagination.mapping import files
 from imagination.mapping.files import LoadedLayer
-from imagination.mapping.maps import Maps
+from imagination.mapping.maps import FREE, Maps
 
 GRID = Grid(0.05, 40, 60, (-1.25, 2.5))
 
@@ -28,7 +28,7 @@ def some_maps(seed: int = 0) -> Maps:
     known = rng.random(GRID.shape) < 0.8
     occupancy = rng.random(GRID.shape, dtype=np.float32)
     return Maps(
-        GRID, "odom", ("chair", "bed"), np.where(written, probabilities, np.float32(0)), written,
+        GRID, "odom", ("chair", "bed"), (0.5, 0.8), np.where(written, probabilities, np.float32(0)), written,
         np.where(known, occupancy, np.float32(0)), known,
     )  # fmt: skip
 
@@ -77,10 +77,11 @@ def test_saved_maps_come_back(tmp_path: Path) -> None:
     files.save_maps(tmp_path / "new" / "folder", maps, [(200, 0, 0), (0, 0, 200)])
     again = files.load_maps(tmp_path / "new" / "folder")
     assert (again.grid, again.frame, again.categories) == (GRID, "odom", ("chair", "bed"))
+    assert again.thresholds == (0.5, 0.8)
     for name in ("probabilities", "written", "occupancy", "known"):
         np.testing.assert_array_equal(getattr(again, name), getattr(maps, name))
     objects = files.load_objects(tmp_path / "new" / "folder" / "objects.geojson")
-    wanted = maps.objects(0.5)
+    wanted = maps.objects()
     assert len(objects) == len(wanted) > 3
     for one, other in zip(objects, wanted, strict=True):
         np.testing.assert_allclose(one.outline, other.outline, atol=1e-4)
@@ -88,8 +89,12 @@ def test_saved_maps_come_back(tmp_path: Path) -> None:
         assert abs(one.confidence - other.confidence) < 1e-4
     picture = np.array(Image.open(tmp_path / "new" / "folder" / "map.png"))
     assert picture.shape == (40, 60, 3)
-    sure = (maps.probabilities[0] > 0.5) & (maps.probabilities[1] == 0)
+    chair, bed = maps.probabilities
+    sure = (chair > 0.5) & (bed == 0)
     assert (picture[sure][:, 0] > picture[sure][:, 2] + 60).all()
+    alone = (chair == 0) & (maps.occupancy_layer() == FREE)
+    full, weak = alone & (bed >= 0.8), alone & (bed > 0.5) & (bed < 0.8)  # in full from its own threshold on
+    assert picture[full][:, 0].max() + 60 < picture[weak][:, 0].min()
 
 
 @pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])

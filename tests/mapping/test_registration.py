@@ -330,6 +330,7 @@ def test_saving_takes_as_much_memory_as_was_counted_for(tmp_path: Path) -> None:
         grid,
         "map",
         ("a", "b", "c"),
+        (0.5, 0.5, 0.5),
         global_map.probabilities[1:],
         global_map.written[1:],
         global_map.probabilities[0],

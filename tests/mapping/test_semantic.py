@@ -283,7 +283,7 @@ def test_dashes_of_a_wall_are_not_called_free() -> None:
 
 def test_units_side_by_side() -> None:
     both = SideBySide([Toy("chair"), Toy("bed")])
-    assert both.description.categories == ("chair", "bed")
+    assert both.description.categories == ("chair", "bed") and both.description.thresholds == (0.5, 0.5)
     rgb, depth, pose = frames()[0]
     update = SemanticMapper(both).update(rgb, depth, pose)
     assert update.probabilities.shape == (2, 31, 31)
@@ -297,7 +297,10 @@ def test_descriptions_come_back_from_text_and_strangers_are_refused() -> None:
     known = Toy("chair", "bed").description
     assert Description.from_json(known.to_json(more=1), "x") == known
     for change, told in (
-        (('"version": 1', '"version": 2'), "got version 2"),
+        (('"version": 2', '"version": 1'), "got version 1"),
+        (("[0.5, 0.5]", "[0.5]"), "got 1 thresholds for 2 categories"),
+        (("[0.5, 0.5]", "[0.5, NaN]"), "thresholds: got nan"),
+        (("[0.5, 0.5]", "[0.5, 1.5]"), "thresholds: got 1.5"),
         (('"cells": 31', '"cells": 9000000'), "ego.cells: got 9000000"),
         (('"width": 48', '"width": 4000000'), "camera.width: got 4000000"),
         (('"chair"', '"../chair"'), "got the category '../chair'"),

@@ -25,7 +25,9 @@ from imagination.recordings.scannet import ScanNetRecording
 from imagination.recordings.tum import Entry, TumRecording, associate, to_stamp
 from tests.robot import (
     BEGIN,
+    ROS2,
     TICK,
+    Messages,
     Taken,
     Topic,
     base_to_world,
@@ -169,7 +171,18 @@ def test_a_bag_where_nothing_says_where_the_camera_sits(tmp_path: Path) -> None:
     record_bag(tmp_path / "drive", taken(), CAMERA, change=without)
     with pytest.raises(UserError, match="recording.mount says where it sits"):
         bag(tmp_path / "drive")
-    check(bag(tmp_path / "drive", mount={"frame": "base_link", "height": 1.1, "pitch": 10.0}), taken())
+    mount = {"frame": "base_link", "height": 1.1, "pitch": 10.0}
+    check(bag(tmp_path / "drive", mount=mount), taken())
+
+    def within_the_camera(topics: list[Topic], number: int) -> list[Topic]:
+        """As drivers publish it: the optical frame in camera_link, which nothing joins to the robot."""
+        optical = np.array([[0, 0, 1, 0.02], [-1, 0, 0, 0.015], [0, -1, 0, 0.01], [0, 0, 0, 1.0]])
+        fixed = Messages(ROS2).transform(BEGIN, "camera_link", "camera_optical", optical)
+        own = [("/tf_static", "tf2_msgs/msg/TFMessage", fixed)] if not number else []
+        return [*own, *without(topics, number)]
+
+    record_bag(tmp_path / "driver", taken(), CAMERA, change=within_the_camera)
+    check(bag(tmp_path / "driver", mount=mount), taken())
     with pytest.raises(UserError, match="expected frame, height in metres"):
         bag(tmp_path / "drive", mount={"frame": "base_link"})
 
@@ -344,7 +357,10 @@ for scale in ("mm", "null"):
         Path(sys.argv[1], "camera.yaml").write_text(f"depth_scale: {scale}")
         FolderRecording(sys.argv[1])
     calls.append(read)
-for override in ("threshold=abc", "limits.tilt=steep", "limits.mount_height=null", "floor_height=low"):
+for override in (
+    "threshold=abc", "limits.tilt=steep", "limits.mount_height=null", "limits.resolution=abc",
+    "limits.vertical_field_of_view=steep", "floor_height=low"
+):
     config = compose("map", ["unit=a.onnx", override])
     calls.append(lambda config=config: configured.validate(config))
 class Units:
@@ -370,7 +386,7 @@ def test_values_of_a_wrong_kind_get_one_message(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", UNTYPED, str(tmp_path)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     told = done.stdout.splitlines()
-    assert len(told) == 17 and all(": " in line for line in told), done.stdout
+    assert len(told) == 19 and all(": " in line for line in told), done.stdout
     assert "threshold: got abc, expected a number in (0.0, 1.0]" in told
     assert "limits.tilt: got steep, expected a number in [0.0, 180.0] degrees" in told
     assert "centre: got [1], expected [x, y] in metres" in told
@@ -466,6 +482,19 @@ def test_a_bag_that_was_cut_off_gives_what_is_left(tmp_path: Path, kind: str) ->
     file.write_bytes(whole[:100])
     with pytest.raises(UserError, match="cannot be opened as a bag .* repair it with"):
         bag(path)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+def test_the_files_of_a_split_bag_are_read_in_their_order(tmp_path: Path, kind: str) -> None:
+    """Of a recorder that was killed before it wrote metadata.yaml: _2 comes before _10."""
+    frames, folder = taken(24), tmp_path / "drive"
+    folder.mkdir()
+    for number in range(12):
+        part = tmp_path / f"part{number}"
+        record_bag(part, frames[2 * number : 2 * number + 2], CAMERA, kind)
+        (file,) = part.glob("part*.*")
+        file.rename(folder / f"drive_{number}{file.suffix}")
+    check(bag(folder), frames)
 
 
 @pytest.mark.parametrize("compression", ["none", "bz2", "lz4", "zstd"])

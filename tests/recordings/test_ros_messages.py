@@ -58,6 +58,24 @@ def test_cameras_that_are_not_in_step(late: float, lost: set[tuple[str, int]], w
     assert len({colour for colour, _ in found}) == len({depth for _, depth in found}) == len(found)
 
 
+@pytest.mark.parametrize("stray", ["colour", "depth"])
+@pytest.mark.parametrize("first", ["colour", "depth"])
+def test_one_time_far_ahead_costs_its_image_alone(stray: str, first: str) -> None:
+    kinds = (first, "depth" if first == "colour" else "colour")
+    messages = [(kind, n * TICK) for n in range(20) for kind in kinds]
+    assert paired([*messages[:10], (stray, 3600 * SECOND), *messages[10:]]) == (
+        [(n * TICK, n * TICK) for n in range(20)],
+        1,
+    )
+
+
+def test_images_that_are_far_apart_pair_as_others_do() -> None:
+    messages = [(kind, 5 * n * SECOND) for n in range(6) for kind in ("colour", "depth")]
+    assert paired(messages) == ([(5 * n * SECOND, 5 * n * SECOND) for n in range(6)], 0)
+    late = [(kind, stamp + (kind == "depth") * SECOND // 100) for kind, stamp in messages]
+    assert len(paired(late)[0]) == 6
+
+
 def test_what_waits_for_ever_is_given_up() -> None:
     assert paired([("depth", n * TICK) for n in range(100)], most=5) == ([], 100)
 

@@ -5,7 +5,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from imagination.errors import UserError
-from imagination.recordings.trajectory import SECOND, Jumps, Trajectory, Transforms, interpolate, matrix_of
+from imagination.recordings.trajectory import (
+    SECOND,
+    Jumps,
+    Order,
+    Trajectory,
+    Transforms,
+    interpolate,
+    matrix_of,
+)
 
 angles = st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3)
 
@@ -152,6 +160,23 @@ def test_a_stray_pose_is_left_out_and_a_relocalised_robot_believed() -> None:
     assert believed([0.0, 9.0, -9.0]) == [True, True, True]
     with pytest.raises(UserError, match="max_speed: got 0"):
         Jumps(0.0)
+
+
+def test_a_stray_time_costs_itself_and_one_more() -> None:
+    def kept(seconds: list[float]) -> list[float]:
+        order = Order()
+        return [second for second in seconds if not order.fault(round(second * SECOND))]
+
+    assert kept([0, 1, 1, 2, 1.5, 3]) == [0, 1, 2, 3]
+    assert kept([0, 1, 9000, 2, 3, 4, 5]) == [0, 1, 9000, 3, 4, 5]
+    assert kept([100, 101, 0, 102, 1, 103]) == [100, 101, 102, 103]  # single ones are stray themselves
+    assert kept([100, 101, 0, 1, 2]) == [100, 101, 1, 2]  # the clock was set anew
+    order = Order()
+    assert [order.fault(stamp) for stamp in (5, 5, 4)] == [
+        "",
+        "repeated time stamp",
+        "time stamp out of order",
+    ]
 
 
 def test_frames_are_not_named_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""A transport that brings one frame, interrupts the service once its map is told, and fails when it is closed."""
+"""Transports that end the service: one once the map of its only frame is told, one before anything came."""
 
 import signal
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from tests.robot import BEGIN, ROS2, Messages, Taken, spoken
 
 
 class FailingTransport:
-    """See `imagination_ros.server.Transport`."""
+    """Brings one frame, interrupts the service once its map is told, and fails when it is closed."""
 
     def __init__(self, **_: Any) -> None:
         self.codec = Codec("ros2_humble", 10**8)
@@ -33,3 +33,13 @@ class FailingTransport:
 
     def close(self) -> None:
         raise RuntimeError("the network is gone")
+
+
+class SilentTransport(FailingTransport):
+    """Interrupts the service, having brought nothing."""
+
+    def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    def close(self) -> None:
+        pass

@@ -102,6 +102,31 @@ def test_the_map_is_saved_whatever_ends_the_service(
     assert load_maps(tmp_path / "outputs" / "serve" / "latest").known.any()
 
 
+@pytest.mark.parametrize(
+    ("mistake", "told"),
+    [
+        (["start=none.yaml"], "none.yaml: there is no such file"),
+        (["extent=5", "centre=[1]"], "centre: got [1], expected [x, y] in metres"),
+        (["extent=0"], "expected"),
+    ],
+)
+def test_mistakes_in_the_config_show_before_it_listens(
+    command: Command, unit_file: Path, mistake: list[str], told: str
+) -> None:
+    done = command("serve", f"unit={unit_file}", *mistake)
+    assert done.returncode == 2 and told in done.stderr
+    assert "Traceback" not in done.stderr and "Listening" not in done.stderr
+
+
+def test_a_service_that_mapped_nothing_says_so(command: Command, unit_file: Path) -> None:
+    done = command(
+        "serve",
+        f"unit={unit_file}",
+        "server.transport._target_=tests.ros.failing_transport.SilentTransport",
+    )
+    assert done.returncode == 1 and "no frame could be mapped; nothing is saved" in done.stderr
+
+
 def test_an_endpoint_that_is_taken_is_one_message(command: Command, unit_file: Path) -> None:
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))

@@ -70,7 +70,6 @@ class MappingNode:
         rectified: whether `colour` and `depth` images are; not if None.
         patience: seconds that an image waits for its pose.
         period: seconds between two publications.
-        threshold: probability from which a cell belongs to an object.
 
     Raises:
         UserError: if the mount is none.
@@ -94,13 +93,12 @@ class MappingNode:
         rectified: Mapping[str, bool] | None = None,
         patience: float = 1.0,
         period: float = 1.0,
-        threshold: float = 0.5,
     ) -> None:
         self.make_mapper, self.publish, self.codec = make_mapper, publish, codec
         self.world, self.mount, self.depth_scale = world, mount_of(mount) if mount else None, depth_scale
         self.max_difference = max_difference
         self.rectified = rectified or {"colour": False, "depth": False}
-        self.patience, self.period, self.threshold = patience, period, threshold
+        self.patience, self.period = patience, period
         self.counts: Counter[str] = Counter()
         self.mapper: SemanticMapper | None = None
         self._changed = threading.Condition()  # guards all below
@@ -155,7 +153,7 @@ class MappingNode:
         for name, layer in layers.items():
             self.publish(name, GRID, self.codec.occupancy_grid(layer, maps.grid, maps.frame, stamp))
         colours = dict(zip(maps.categories, self.mapper.description.colours, strict=True))
-        objects = maps.objects(self.threshold)
+        objects = maps.objects()
         self.publish("objects", MARKERS, self.codec.markers(objects, colours, maps.frame, stamp))
 
     def summary(self) -> str:
@@ -262,10 +260,7 @@ class MappingNode:
             if kind not in self._intrinsics:
                 return f"no camera_info of {kind}"
         frame, mount = self._intrinsics["colour"][1].lstrip("/"), np.eye(4)
-        if self.mount is not None and frame in (
-            self.mount[0].lstrip("/"),
-            self._transforms.ancestors(frame)[-1],
-        ):
+        if self.mount is not None and self.mount[0].lstrip("/") not in self._transforms.ancestors(frame)[1:]:
             frame, mount = self.mount  # where tf does not say it
         if self.world.lstrip("/") not in self._transforms.ancestors(frame):
             return f"no transforms from {frame!r} to {self.world!r}"

@@ -80,7 +80,6 @@ class RosServer:
         max_gap: float,
         max_speed: float | None,
         patience: float,
-        threshold: float,
     ) -> None:
         check_range("server.period", period, 0.01, 3600.0, "s")
         check_range("server.patience", patience, 0.0, 60.0, "s")
@@ -103,7 +102,6 @@ class RosServer:
             "rectified": {kind: is_rectified(str(topics[kind]), rectified) for kind in ("colour", "depth")},
             "patience": patience,
             "period": period,
-            "threshold": threshold,
         }
 
     def serve(self, make_mapper: MakeMapper) -> None:

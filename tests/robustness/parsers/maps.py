@@ -16,7 +16,7 @@ def save(folder: Path) -> None:
     probabilities[:, 4:12, 5:9] = 0.75
     known = np.ones((20, 20), np.bool_)
     grid = Grid(0.05, 20, 20, (0.0, 0.0))
-    maps = Maps(grid, "map", ("chair",), probabilities, known[None], probabilities[0], known)
+    maps = Maps(grid, "map", ("chair",), (0.5,), probabilities, known[None], probabilities[0], known)
     files.save_maps(folder, maps, [(200, 0, 0)])
 
 
