@@ -35,7 +35,7 @@ def run(folder: str) -> list[Figure]:
     times = medians(
         {
             "insert": lambda: buffer.insert(views),
-            "copy in": copying(*views.values()),
+            "copy in": copying(*(store[:COLLECTION] for store in buffer._store.values())),
             "draw": lambda: buffer.draw(BATCH, rng),
             "copy out": copying(*batch.values()),
             "assemble": lambda: assemble(batch, [0], *kernels),
@@ -49,7 +49,7 @@ def run(folder: str) -> list[Figure]:
             1e3 * times["insert"],
             "ms",
             1e3 * times["copy in"],
-            "copying them",
+            "copying them as they are held, masks as bits",
             note=f"{size} views held in {held:.2f} GB",
         ),
         Figure(
@@ -60,6 +60,7 @@ def run(folder: str) -> list[Figure]:
             "copying it",
             10.0,
             at_most=True,
+            note="its images, maps and masks; labels are the next line",
         ),
         Figure(
             f"labels and M*_seen of a batch of {BATCH}, one category",

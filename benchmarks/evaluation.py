@@ -46,20 +46,22 @@ def run(folder: str) -> list[Figure]:
     protocol.measure(subject, HOMES, choices, silent=True)
     measuring = perf_counter() - start
     shutil.rmtree(f"{folder}/evaluation_views", ignore_errors=True)
+    count //= protocol.orientations
     limit = count / (rendering + predicting), "rendering and predicting them alone"
-    note = f"{count} views, once, {len(protocol.approaches)} approaches, one process"
+    looks_each, approaches = protocol.orientations, len(protocol.approaches)
+    note = f"{count} viewpoints of {looks_each} views, once, {approaches} approaches, one process"
     return [
         Figure(
-            "evaluation: views rendered, mapped and scored",
+            "evaluation: viewpoints rendered, mapped and scored",
             count / (rendering + measuring),
-            "views/s",
+            "viewpoints/s",
             *limit,
             note=note,
         ),
         Figure(
             "evaluation: choosing thresholds and kernels on validation homes",
             count / choosing,
-            "views/s",
+            "viewpoints/s",
             count / predicting,
             "predicting them alone",
             note=note,

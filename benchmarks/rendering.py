@@ -18,13 +18,19 @@ VIEWS = 16
 
 SECONDS = 3.0
 
+TRIANGLES = 50_000, 250_000, 1_000_000
+
 
 def run(_: str) -> list[Figure]:
     """All figures."""
     # first, while this process is small
-    together = {size: [in_processes(count, size) for count in (1, 2)] for size in (128, 256)}
+    together = {
+        (triangles, size): [in_processes(count, triangles, size) for count in (1, 2)]
+        for triangles in TRIANGLES
+        for size in (128, 256)
+    }
     figures = []
-    for triangles in (50_000, 250_000, 1_000_000):
+    for triangles in TRIANGLES:
         for size in (128, 256):
             render, trace = measured(triangles, size)
             asked = 200.0 if (triangles, size) == (250_000, 128) else None
@@ -33,8 +39,8 @@ def run(_: str) -> list[Figure]:
             figures.append(Figure(what, VIEWS / render, "views/s", VIEWS / trace, bare, asked))
             if asked:
                 figures.append(Figure(f"{what}: share of tracing", trace / render, "of the time", target=0.6))
-    for size, (one, two) in together.items():
-        what = f"rendering {size}², 250 k triangles, 2 processes"
+    for (triangles, size), (one, two) in together.items():
+        what = f"rendering {size}², RGB + depth + ids, {triangles // 1000} k triangles, 2 processes"
         figures.append(Figure(what, two, "views/s", 2 * one, "twice 1 process", note="together"))
     return figures
 
@@ -59,12 +65,12 @@ def measured(triangles: int, size: int) -> tuple[float, float]:
     return times["render"], times["trace"]
 
 
-def in_processes(count: int, size: int) -> float:
+def in_processes(count: int, triangles: int, size: int) -> float:
     """Views a second of so many processes together."""
     context = get_context("spawn")
     barrier = context.Barrier(count)
     with context.Pool(count, initializer=_begin, initargs=(barrier,)) as pool:
-        return float(np.sum(pool.map(_render, [size] * count, chunksize=1)))
+        return float(np.sum(pool.map(_render, [(triangles, size)] * count, chunksize=1)))
 
 
 _barrier: Barrier  # of a worker process
@@ -75,9 +81,10 @@ def _begin(barrier: Barrier) -> None:
     _barrier = barrier
 
 
-def _render(size: int) -> float:
+def _render(what: tuple[int, int]) -> float:
+    triangles, size = what
     scene, lens = home(), camera(size)
-    renderer = Renderer(with_triangles(scene.mesh, 250_000), scene.lighting)
+    renderer = Renderer(with_triangles(scene.mesh, triangles), scene.lighting)
     places = [lens.to_world(pose, scene.floor_height) for pose in poses(scene, VIEWS)]
     renderer.render(lens, places[0])
     _barrier.wait()

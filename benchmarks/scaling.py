@@ -31,6 +31,9 @@ HOMES, VIEWS = 1000, 10_000_000
 BATCH: int = DESK["batch_size"]
 """Views that each machine trains on in a step."""
 
+DRAWS: float = DESK["update_batches"] * BATCH / (DESK["update_interval"] * DESK["parallel_scenes"])
+"""How often training at desk scale draws each view."""
+
 LINK = STORAGE = 125e6
 """Bytes a second of each machine's network, and of the storage that all share: 1 Gbit/s, an assumption."""
 
@@ -48,7 +51,8 @@ class Costs:
         efficiency: of two processes that write: how many times one, halved.
         size: bytes of a view.
         reading: views a second that a process reads.
-        training: samples a second of one process that has a machine for itself.
+        training: samples a second of one process that has a machine for itself, in whole rounds.
+        draws: how often each view is trained on.
         gradients: bytes of a step's.
     """
 
@@ -58,6 +62,7 @@ class Costs:
     size: float
     reading: float
     training: float
+    draws: float
     gradients: float
 
     def rendering(self, machines: int) -> dict[str, float]:
@@ -73,14 +78,18 @@ class Costs:
         return {
             "the processors": BATCH / self.training,
             "the network between machines": exchange(machines, self.gradients, LINK),
-            "the thread that reads shards": BATCH / self.reading,
-            "the storage": machines * BATCH * self.size / STORAGE,
+            "the thread that reads shards": BATCH / self.draws / self.reading,
+            "the storage": machines * BATCH / self.draws * self.size / STORAGE,
         }
 
     def epoch(self, machines: int) -> float:
-        """Seconds to train on each view once: the exchange follows the computation, views are read meanwhile."""
+        """Seconds to train on all views: the exchange follows the computation, views are read meanwhile."""
         computing, exchanging, *meanwhile = self.step(machines).values()
-        return VIEWS / (machines * BATCH) * max(computing + exchanging, *meanwhile)
+        return self.steps(machines) * max(computing + exchanging, *meanwhile)
+
+    def steps(self, machines: int) -> float:
+        """Until all views were trained on."""
+        return VIEWS * self.draws / (machines * BATCH)
 
 
 def exchange(processes: int, gradients: float, bandwidth: float) -> float:
@@ -118,13 +127,6 @@ class Results:
                 return float(value)
         sys.exit(f"{section}: {starts!r} was not measured; run: python -m benchmarks {section}")
 
-    @property
-    def samples(self) -> float:
-        """A second in training, in the fastest precision; it stands in the figure's name."""
-        self.value("training", "training step")
-        steps = [f["what"] for f in self.sections["training"]["figures"] if "(default)" in f["what"]]
-        return max(float(what.rpartition(": ")[2].split()[0]) for what in steps)
-
 
 def predicted(results: Results) -> str:
     """Costs, the check and predictions as Markdown."""
@@ -139,7 +141,8 @@ def predicted(results: Results) -> str:
         efficiency=two / (2 * one),
         size=1e3 * results.value("shards", "size of a view"),
         reading=results.value("shards", "views read"),
-        training=results.samples,
+        training=results.value("training", "training, default unit", "whole rounds"),
+        draws=DRAWS,
         gradients=1e6 * results.value("distributed", "gradients of a step"),
     )
     expected = 2 * BATCH / (BATCH / alone + exchange(2, costs.gradients, bandwidth))
@@ -150,7 +153,7 @@ def predicted(results: Results) -> str:
         f"| a view: rendered, projected, cropped, written | {1e3 / one:.1f} ms a core |",
         f"| size of a view | {costs.size / 1e3:.1f} kB |",
         f"| reading shards | {costs.reading:.0f} views/s a process |",
-        f"| training, default unit, desk scale, batch {BATCH} | {costs.training:.0f} samples/s a machine |",
+        f"| training, default unit, desk scale, batch {BATCH}, rounds | {costs.training:.0f} samples/s a machine |",
         f"| gradients of its step | {costs.gradients / 1e6:.1f} MB |",
         f"| exchanging gradients, 2 processes on one machine | {bandwidth / 1e6:.0f} MB/s |",
         "",
@@ -168,14 +171,16 @@ def predicted(results: Results) -> str:
         f"process a core, at the measured {costs.efficiency:.0%} of twice one, or train with one process, a batch of "
         f"{BATCH} each:",
         "",
-        "| machines | rendering | written | training on each view once | of it exchanging | read | sizes that divide |",
+        f"| machines | rendering | written | training on each view {DRAWS:g} times | of it exchanging | read "
+        "| sizes that divide |",
         "|---|---|---|---|---|---|---|",
     ]
     for machines in MACHINES:
         hours, epoch = max(costs.rendering(machines).values()) / 3600, costs.epoch(machines) / 3600
         written, read = (VIEWS * costs.size / (3600 * each) / 1e6 for each in (hours, epoch))
-        steps = VIEWS / (machines * BATCH)
-        exchanging = steps * costs.step(machines)["the network between machines"] / 3600 / epoch
+        exchanging = (
+            costs.steps(machines) * costs.step(machines)["the network between machines"] / 3600 / epoch
+        )
         sizes = " ".join(
             f"scale.{name}={size}" for name, size in divisible(machines).items() if size != DESK[name]
         )
@@ -189,8 +194,8 @@ def predicted(results: Results) -> str:
         "",
         f"What saturates first, by these numbers: in rendering {first_saturated(costs.rendering)};",
         f"in training {first_saturated(costs.step)}.",
-        f"One process reads {costs.reading / costs.training:.0f} times what a machine's training asks for. No learning "
-        "rate was chosen for",
+        f"One process reads {costs.reading * DRAWS / costs.training:.0f} times what a machine's training asks for. No "
+        "learning rate was chosen for",
         f"the larger batches. `scale=paper` goes on {counts} processes as it is.",
     ]
     return "\n".join(lines)

@@ -17,7 +17,7 @@ from imagination.errors import require_extra
 from imagination.views.pool import ScenePool
 from imagination.views.samplers import UniformPoses
 
-HOMES = 4
+HOMES = 8
 VIEWS = 100
 
 
@@ -29,7 +29,7 @@ def run(folder: str) -> list[Figure]:
     made = {workers: written(f"{folder}/corpus_{workers}", workers, recipe) for workers in (1, 2)}
     corpus = Path(folder, "corpus_1", "shards")
     size = sum(path.stat().st_size for path in corpus.glob("chunk-*.bin")) / (HOMES * VIEWS)
-    read = Shards(str(corpus), "", "1GB")
+    read = Shards(str(corpus), "", 1.0)
     home = next(iter(read.homes))
     times = medians({"read": reading(read, home), "copy": copying(*read.read(home, 0).values())}, 2.0)
     once = "once, not a median"

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from statistics import median
+from time import perf_counter
 
 import numpy as np
 import torch
 from hydra.utils import instantiate
+from lightning import Callback, LightningModule, Trainer
 from torch import nn
 from torch._dynamo.exc import BackendCompilerFailed
 from torch.profiler import ProfilerActivity, profile
@@ -21,6 +25,8 @@ from imagination.data.batches import Batch, assemble
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.geometry.morphology import kernel_cells
 from imagination.precision import resolved
+from imagination.resume import Run
+from imagination.train import build
 from imagination.units.training import UnitTraining
 
 UNITS = {
@@ -46,8 +52,7 @@ OPERATORS: dict[str, list[tuple[str, float]]] = {}
 
 def run(folder: str) -> list[Figure]:
     """All figures."""
-    drawing = {layers: batches(folder, layers) for layers in (1, 3)}
-    drawn = {layers: draw() for layers, draw in drawing.items()}
+    drawn = {layers: batches(folder, layers)() for layers in (1, 3)}
     kinds = ["32-true"] + (["bf16-mixed"] if resolved("auto") == "bf16-mixed" else [])
     figures = []
     for name, choice in UNITS.items():
@@ -71,21 +76,57 @@ def run(folder: str) -> list[Figure]:
             figures.append(reached)
             if reached.met is False:
                 OPERATORS[kind] = operators(step)
-            if default:
-                data = medians({"draw": drawing[1]}, 1.0)["draw"]
-                figures.append(
-                    Figure(
-                        f"share of a step that waits for data, {kind}",
-                        data / (data + times["step"]),
-                        "of the time",
-                        target=0.05,
-                        at_most=True,
-                        note="a batch is drawn and assembled in the main process between steps",
-                    )
-                )
-                if kind == kinds[-1]:
-                    figures += engineering(folder, kind, batch, step)
-    return figures
+            if default and kind == kinds[-1]:
+                figures += engineering(folder, kind, batch, step)
+    return figures + rounds(folder)
+
+
+class Clock(Callback):
+    """When each round of a training ended, and the share of it that waited for data."""
+
+    def __init__(self) -> None:
+        self.ends: list[float] = []
+        self.waiting: list[float] = []
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self.ends.append(perf_counter())
+        self.waiting.append(float(trainer.callback_metrics["train/waiting"]))
+
+
+def rounds(folder: str, count: int = 9) -> list[Figure]:
+    """The training itself, of the default unit at desk scale: its workers render on the cores that it trains on."""
+    run = config(
+        folder,
+        f"scale.rounds={count}",
+        "scale.homes={train:16,val:2,test:2}",
+        "scale.prefill_steps=20",
+        "scale.held_out_views={val:16,test:16}",
+        "scale.eval_every=1000",
+    )
+    run.paths.run = f"{folder}/rounds"
+    model, data, trainer = build(Run(Path(run.paths.run), run, None))
+    clock = Clock()
+    trainer.callbacks.append(clock)
+    try:
+        data.setup("fit")
+        trainer.fit(model, datamodule=data)
+    finally:
+        data.close()
+    samples = run.scale.update_batches * run.scale.batch_size
+    # the first rounds warm up, the last one is validated
+    seconds, kind = median(np.diff(clock.ends)[1:-1].tolist()), resolved("auto")
+    note = f"{count} rounds of {samples} samples, {run.scale.workers} processes render meanwhile"
+    return [
+        Figure(f"training, default unit, {kind}: whole rounds", samples / seconds, "samples/s", note=note),
+        Figure(
+            f"training, default unit, {kind}: share of a round that waits for data",
+            median(clock.waiting[2:-1]),
+            "of the time",
+            target=0.05,
+            at_most=True,
+            note="for its collection, and for its batches, which are drawn and assembled between steps",
+        ),
+    ]
 
 
 def batches(folder: str, layers: int, collections: int = 25) -> Callable[[], Batch]:

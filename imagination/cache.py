@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from imagination.errors import UserError, check_range
+from imagination.errors import CannotWriteError, UserError, check_range
 
 log = logging.getLogger(__name__)
 
@@ -126,7 +126,7 @@ class Cache:
                 advice = "the disk is full; free some space, or set paths.cache to a folder elsewhere"
             else:
                 advice = f"{error.strerror}; set paths.cache to a folder that can be written"
-            raise UserError(f"cache: cannot write {len(content)} bytes to {path}: {advice}") from error
+            raise CannotWriteError(f"cache: cannot write {len(content)} bytes to {path}: {advice}") from error
 
     def path(self, kind: str, key: Mapping[str, Any]) -> Path:
         """File of the entry, whether it exists or not."""

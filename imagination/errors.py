@@ -8,6 +8,10 @@ class UserError(ValueError):
     """A mistake in what the user gave; the commands print its message without a traceback."""
 
 
+class CannotWriteError(UserError):
+    """A disk that is full, or a folder that may not be written: whatever else would be written fails as well."""
+
+
 def require_extra(package: str, extra: str) -> None:
     """Check that an optional package is installed.
 

@@ -24,8 +24,10 @@ from imagination.ranks import agree, end_with_starter, lost_another, rank
 
 log = logging.getLogger(__name__)
 
-MAY_CHANGE = ("trainer.max_epochs", "trainer.accelerator", "trainer.devices", "paths.")
-"""What may be overridden when a run goes on; all else is the run's own."""
+MAY_CHANGE = (
+    *("trainer.max_epochs", "trainer.accelerator", "trainer.devices", "trainer.num_nodes", "paths."),
+)
+"""What may be overridden when a run goes on; all else is the run's own, and may only be said again."""
 
 WHERE_AND_HOW = (
     *("paths", "cache", "callbacks", "trainer", "logger", "ckpt_path", "resume", "hydra"),
@@ -75,7 +77,7 @@ def opened(config: DictConfig) -> Iterator[Run]:
     agree(folder)
     with runs.locked(folder), runs.logging_to(folder / "run.log"):
         if again:
-            _check_changes(config)
+            _check_changes(folder)
         going_on = again or (folder / runs.COMPOSED).is_file()  # of a sweep's member that has not ended
         runs.remove_parts(folder)
         run = _go_on(folder, config) if going_on else _begin(folder, config)
@@ -117,8 +119,8 @@ def _joined(config: DictConfig) -> Run:
 
 def _alone(folder: Path) -> UserError:
     return UserError(
-        "training: another of the processes that train together is gone, so the job stops; go on with: "
-        f"python -m imagination.train ckpt_path={folder / runs.LAST}"
+        "training: another of the processes that train together is gone, so the job stops; go on with the same "
+        f"command and ckpt_path={folder / runs.LAST}"
     )
 
 
@@ -182,11 +184,16 @@ def _existing(config: DictConfig) -> Path:
     return runs.find_latest(Path(config.paths.outputs), experiment)
 
 
-def _check_changes(config: DictConfig) -> None:
-    """Refuse overrides that would make another run of one that goes on."""
+def _check_changes(folder: Path) -> None:
+    """Refuse overrides that would make another run of the one in `folder`; those it began with may be given again."""
     overrides = list(HydraConfig.get().overrides.task)
-    allowed = ("resume=", "ckpt_path=", "experiment=", *MAY_CHANGE)
-    if refused := [text for text in overrides if not text.lstrip("+").startswith(allowed)]:
+    allowed, own = (
+        ("resume=", "ckpt_path=", "experiment=", *MAY_CHANGE),
+        set(_read(folder / runs.COMPOSED).choices),
+    )
+    if refused := [
+        text for text in overrides if not text.lstrip("+").startswith(allowed) and text not in own
+    ]:
         raise UserError(
             f"resume: got {' '.join(refused)}, but a run goes on with its own config; only "
             f"{', '.join(MAY_CHANGE)} may change"

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from rich.logging import RichHandler
 
-from imagination.errors import UserError
+from imagination.errors import CannotWriteError, UserError
 from imagination.progress import console
 
 CONFIG = "config.yaml"
@@ -138,7 +138,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """A temporary name beside `path`; what is written there takes `path`'s place at the end, on an error nothing does.
 
     Raises:
-        UserError: if the disk is full or may not be written.
+        CannotWriteError: if the disk is full or may not be written.
     """
     with write_errors_told(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -163,7 +163,7 @@ def write_errors_told(path: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (ENOSPC, EDQUOT, EFBIG, EACCES, EROFS):
             raise
-        raise UserError(
+        raise CannotWriteError(
             f"could not write {path}: {error.strerror}; free some space or set paths.outputs and paths.cache to "
             "another place; a run that was under way goes on with resume=latest"
         ) from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import warnings
 from datetime import timedelta
 from pathlib import Path
@@ -93,7 +94,7 @@ def check_shares(config: DictConfig) -> None:
     """Check that the work can be shared out among the processes that train together.
 
     Raises:
-        UserError: if a size is not a multiple of their number, or a sweep would start them.
+        UserError: if a size is not a multiple of their number, or a sweep or srun would start them.
     """
     count = config.trainer.devices * config.trainer.num_nodes
     if count == 1:
@@ -102,6 +103,12 @@ def check_shares(config: DictConfig) -> None:
         raise UserError(
             f"trainer.devices: got {count} processes in a sweep, whose members train on one device each; start each "
             "member by itself, or sweep with trainer.devices=1"
+        )
+    if "TORCHELASTIC_RUN_ID" not in os.environ and int(os.environ.get("SLURM_NTASKS", 1)) > 1:
+        raise UserError(
+            f"trainer.devices: got {count} processes in a SLURM job of {os.environ['SLURM_NTASKS']} tasks, expected "
+            "torchrun as one task a host, which starts the others: srun --ntasks-per-node=1 torchrun … (see "
+            "docs/scaling.md)"
         )
     sizes = {name: config.scale[name] for name in ("parallel_scenes", "batch_size", "buffer_size")}
     for name, size in sizes.items():

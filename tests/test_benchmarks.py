@@ -2,18 +2,20 @@
 
 import json
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import scaling
+from benchmarks import buffer, maps, scaling, startup
 from benchmarks.measure import Figure, unmeasured
 from benchmarks.scaling import Costs, Results, divisible, exchange, first_saturated, predicted
 
-COSTS = Costs(1.0, 100.0, 0.9, 10e3, 1000.0, 100.0, 50e6)
+COSTS = Costs(1.0, 100.0, 0.9, 10e3, 1000.0, 100.0, 1.0, 50e6)
 
 
 def result(*figures: Figure, **about: Any) -> dict[str, Any]:
@@ -102,6 +104,11 @@ def test_time_is_that_of_the_busiest() -> None:
     assert COSTS.epoch(1) == pytest.approx(scaling.VIEWS / 100)
     assert COSTS.epoch(2) == pytest.approx(scaling.VIEWS / (2 * scaling.BATCH) * (0.16 + 0.4))
     assert replace(COSTS, reading=10.0).epoch(1) == pytest.approx(scaling.VIEWS / 10)
+    # each view 8 times: as many more steps, none of which reads as much
+    assert replace(COSTS, draws=8.0).epoch(1) == pytest.approx(8 * scaling.VIEWS / 100)
+    assert replace(COSTS, draws=8.0, reading=10.0).epoch(1) == pytest.approx(scaling.VIEWS / 10)
+    light = replace(COSTS, gradients=1e6, draws=8.0)
+    assert first_saturated(light.step) == "the storage, from 1001 machines on"
 
 
 def test_the_page_tells_predicted_beside_measured() -> None:
@@ -114,7 +121,7 @@ def test_the_page_tells_predicted_beside_measured() -> None:
             Figure("views read by 1 process, chunks in the page cache", 1000.0, "views/s"),
         ],
         "training": [
-            Figure("training step, unit (default), 32-true, batch 16: 100 samples/s", 1.0, "GFLOP/s")
+            Figure("training, default unit, bf16-mixed: whole rounds", 100.0, "samples/s"),
         ],
         "distributed": [
             Figure(
@@ -138,3 +145,47 @@ def test_the_page_tells_predicted_beside_measured() -> None:
     assert "`scale.batch_size=160 scale.parallel_scenes=20 scale.buffer_size=12290`" in page
     with pytest.raises(SystemExit, match="python -m benchmarks shards"):
         predicted(Results({"sections": {}}))
+
+
+def test_the_ways_of_others_give_our_maps() -> None:
+    """What `make bench` checks before it times them."""
+    maps.check_padded(views=3)
+    maps.check_splatted()
+
+
+@pytest.fixture
+def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Benchmarks that call everything once."""
+
+    def once(functions: Mapping[str, Callable[[], object]], *_: object) -> dict[str, float]:
+        times = {}
+        for name, function in functions.items():
+            start = perf_counter()
+            function()
+            times[name] = perf_counter() - start
+        return times
+
+    for module in (buffer, maps, startup):
+        monkeypatch.setattr(module, "medians", once)
+
+
+@pytest.mark.usefixtures("hurried")
+def test_quick_sections_measure_what_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(maps, "grid_of", lambda cells, of=maps.grid_of: of(min(cells, 1001)))  # less memory
+    depth, labels = maps.a_view()
+    for figure in (
+        *buffer.run(str(tmp_path)),
+        *startup.run(str(tmp_path)),
+        maps.projection(depth, labels),
+        maps.whole_step(depth, labels),
+        maps.frame(depth),
+    ):
+        assert figure.value is not None and figure.value > 0 and (figure.limit or 0) > 0, figure.what
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", command.SECTIONS)
+def test_every_section_runs(tmp_path: Path, name: str) -> None:
+    """As `make bench` does; those that need an extra which is not there say so."""
+    found = command.inside("--section", name, str(tmp_path))
+    assert found is not None and found["figures"]

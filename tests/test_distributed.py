@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator, ScalarEvent
 
 from imagination import ranks
 from imagination.data.datamodule import SceneData
@@ -81,10 +81,21 @@ def test_what_cannot_be_shared_is_refused(command: Command, overrides: list[str]
     assert done.returncode != 0 and told in done.stderr and "Traceback" not in done.stderr, done.stderr
 
 
+def test_several_processes_of_srun_are_refused(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They would train apart from each other."""
+    monkeypatch.setenv("SLURM_NTASKS", "2")
+    done = command("train", *TWO)
+    assert done.returncode == 2 and "expected torchrun as one task a host" in done.stderr
+
+
+def events(folder: Path, tag: str) -> list[ScalarEvent]:
+    read = EventAccumulator(str(folder / "tensorboard"), size_guidance={"scalars": 0})
+    read.Reload()
+    return list(read.Scalars(tag))
+
+
 def scalars(folder: Path, tag: str) -> list[float]:
-    events = EventAccumulator(str(folder / "tensorboard"))
-    events.Reload()
-    return [event.value for event in events.Scalars(tag)]
+    return [event.value for event in events(folder, tag)]
 
 
 @pytest.mark.slow
@@ -134,12 +145,22 @@ def test_a_process_that_dies_stops_the_job_and_it_goes_on(
     text = (tmp_path / "told").read_text()
     assert "another of the processes that train together is gone" in text, text
     assert f"ckpt_path={last.relative_to(tmp_path).parts[0]}" in text
-    from imagination.checkpoints import read_state
+    from imagination.checkpoints import Checkpoint, read_state
 
     rounds = read_state(last)["epoch"] + 1
-    done = command("train", "resume=latest", f"trainer.max_epochs={rounds + 1}", timeout=1200)
+    before = Checkpoint.read(last).record["samples"]
+    done = command("train", *TWO, *long, "resume=latest", f"trainer.max_epochs={rounds + 1}", timeout=1200)
     assert done.returncode == 0, done.stderr
     assert read_state(last)["epoch"] == rounds
+    # one more round and no other: the counts of those before it came out of the checkpoint
+    assert Checkpoint.read(last).record["samples"] == before * (rounds + 1) // rounds
+    steps = read_state(last)["global_step"]
+    assert (
+        steps * read_state(last)["imagination"]["values"]["scale"]["batch_size"]
+        == before * (rounds + 1) // rounds
+    )
+    rounds_logged = [event.step for event in events(last.parent.parent, "train/waiting")]
+    assert rounds_logged == sorted(set(rounds_logged)) and len(rounds_logged) == rounds + 1
 
 
 def child_of(pid: int) -> int:

@@ -1,6 +1,7 @@
 """The replay buffer as a callback: collects before each round and hands the round's batches to training."""
 
 from collections.abc import Callable, Iterator
+from time import perf_counter
 
 import numpy as np
 import torch
@@ -73,12 +74,14 @@ class ReplayBufferCallback(Callback):
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
         collector = data.collector(self.update_interval)
         newest = self.prefill + min(trainer.current_epoch, self.collecting_rounds - 1)
+        begin = perf_counter()
         self._fill(data, collector, newest, 2 * max(1, data.workers))
         if trainer.current_epoch >= self.collecting_rounds:
             self.buffer.settle()
         elif trainer.current_epoch + 1 < min(trainer.max_epochs or 0, self.collecting_rounds):
             self._start(collector, newest + 1)  # renders while this round trains
         collected = (newest + 1) * collector.views_per_collection * ranks()
+        pl_module.log("data/collecting_seconds", perf_counter() - begin)
         pl_module.log("data/collected_views", float(collected))
         pl_module.log(
             "data/draws_per_view",

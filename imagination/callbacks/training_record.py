@@ -14,22 +14,22 @@ from imagination.ranks import ranks
 class TrainingRecord(Callback):
     """Counts over all resumptions of a run; the counts lie in its checkpoints and go into an evaluation's tables.
 
-    Logs how fast training is, drawing batches included, which share of that time lies between steps (batches, loggers),
-    and where on the axis of steps loggers show a validation.
+    Logs how fast training is, drawing batches included; which share of a round waits for its collection or lies between
+    steps (batches, loggers); and where on the axis of steps loggers show a validation.
     """
 
     def __init__(self) -> None:
         self._counts = {"rounds": 0, "samples": 0, "views": 0, "seconds": 0.0, "best": 0.0}
         self._since = monotonic()
         self._batch_begin = self._batch_end = 0.0
+        self._between = self._round = 0.0  # seconds of the round so far: between steps, and in all
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._since = monotonic()
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self._batch_end = (
-            perf_counter()
-        )  # after the replay buffer's turn: what a round collects is not counted
+        self._batch_end = perf_counter()  # after the replay buffer's turn
+        self._between = self._round = 0.0
 
     def on_train_batch_start(
         self, trainer: Trainer, pl_module: LightningModule, batch: Batch, batch_idx: int
@@ -44,7 +44,8 @@ class TrainingRecord(Callback):
         samples, now = len(batch["rgb"]) * ranks(), perf_counter()
         self._counts["samples"] += samples
         pl_module.log("train/samples_per_second", samples / (now - self._batch_end))
-        pl_module.log("train/waiting", (self._batch_begin - self._batch_end) / (now - self._batch_end))
+        self._between += self._batch_begin - self._batch_end
+        self._round += now - self._batch_end
         self._batch_end = now
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -56,6 +57,8 @@ class TrainingRecord(Callback):
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._counts["rounds"] = trainer.current_epoch + 1
         self._counts["views"] = int(trainer.callback_metrics["data/collected_views"])
+        collecting = float(trainer.callback_metrics["data/collecting_seconds"])
+        pl_module.log("train/waiting", (collecting + self._between) / (collecting + self._round))
 
     def state_dict(self) -> dict[str, Any]:
         now = monotonic()

@@ -23,8 +23,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from zlib import crc32
 
-from imagination.cache import encode
-from imagination.errors import UserError, check_range, require_extra
+from imagination.cache import code_version, encode
+from imagination.errors import CannotWriteError, UserError, check_range, require_extra
 from imagination.runs import replacing, write_text
 from imagination.views.collector import PoseSampler, Stream, look
 from imagination.views.pool import ScenePool
@@ -37,6 +37,9 @@ INDEX = "index.json"
 
 ABOUT = "chunk-about.bin"
 """The chunk with the description alone."""
+
+MOST_BYTES = 2**32 - 2**20
+"""In a chunk: litdata's offsets in it are of 32 bits."""
 
 LOCK = ".index.lock"
 """Held by the job that writes the index."""
@@ -67,7 +70,8 @@ class Recipe:
 
     def made_with(self, observer: Observer) -> dict[str, Any]:
         """What the views of all homes of a corpus have in common."""
-        return as_read({**describe(observer), **plain(self)})
+        program = {"program": code_version()[:12]}  # which renders and projects
+        return as_read({**describe(observer), **plain(self), **program})
 
     def key(self, observer: Observer, scene: str) -> str:
         """Hash of everything that a home's views depend on."""
@@ -142,7 +146,7 @@ def write_homes(
     A home whose worker is killed, as when it takes too much memory, has failed; a new worker goes on with the others.
 
     Raises:
-        UserError: if the number of workers is out of range.
+        UserError: if the number of workers is out of range, or nothing can be written.
     """
     check_range("scale.workers", workers, 0, 1024)
     waiting = list(reversed(homes))
@@ -172,18 +176,29 @@ def write_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> 
     """Render a home's views and write its chunk, then its record; runs in a worker process."""
     _record(folder, scene).unlink(missing_ok=True)  # a home that fails now is none of the corpus any more
     seed = (recipe.seed, Stream.SHARDS, crc32(scene.encode()))
-    items = []
-    for group in range(recipe.views // recipe.group):
+    items, groups = [], recipe.views // recipe.group
+    for group in range(groups):
         items.append(encode(look(observer, scene, recipe.sampler, (*seed, group), recipe.group)))
+        if (size := groups * len(items[0])) > MOST_BYTES:  # told after the first group, not after the last
+            raise UserError(
+                f"views: got {recipe.views} of each home, about {size / 1e9:.1f} GB, expected at most "
+                f"{MOST_BYTES / 1e9:.1f} GB, as much as a chunk can hold; write fewer of more homes"
+            )
     chunk = _write_chunk(folder / chunk_name(scene), items)
     record = Record(scene, recipe.key(observer, scene), recipe.made_with(observer), len(items), chunk)
     write_text(_record(folder, scene), json.dumps(record._asdict()))
 
 
 def try_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> str:
-    """Write a home; what went wrong, or an empty string."""
+    """Write a home; what went wrong, or an empty string.
+
+    Raises:
+        UserError: if nothing can be written: the homes after it would be rendered in vain.
+    """
     try:
         write_home(observer, scene, folder, recipe)
+    except CannotWriteError:
+        raise
     except Exception as error:  # of any scene source: the other homes do not wait for it
         return f"{type(error).__name__}: {error}"
     return ""

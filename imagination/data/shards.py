@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,10 +17,12 @@ import numpy as np
 from imagination.cache import decode
 from imagination.data.corpus import INDEX, as_read, chunk_name, describe, difference, prepare_litdata
 from imagination.data.datamodule import SceneData
-from imagination.errors import UserError
+from imagination.errors import UserError, check_range
 from imagination.ranks import rank, ranks
 from imagination.views.collector import Stream, Views, concatenate
 from imagination.views.view import Observer
+
+log = logging.getLogger(__name__)
 
 
 def check_index(index: Any, folder: Path | None) -> None:
@@ -53,17 +56,18 @@ class Shards:
     Args:
         place: folder or URL (s3://…, gs://…).
         cache: folder for chunks of a URL.
-        cache_size: most that is kept there, e.g. "20GB".
+        gigabytes: most that is kept there.
 
     Raises:
-        UserError: if there is no corpus.
+        UserError: if there is no corpus, or the size is out of range.
     """
 
-    def __init__(self, place: str, cache: str, cache_size: str) -> None:
+    def __init__(self, place: str, cache: str, gigabytes: float) -> None:
         prepare_litdata()
         from litdata import StreamingDataset
 
         self.place = place
+        self.gigabytes = check_range("data.module.shard_gigabytes", gigabytes, 0.001, 1e6, "GB")
         remote = "://" in place
         if not remote and not (Path(place) / INDEX).is_file():
             raise UserError(
@@ -73,10 +77,12 @@ class Shards:
         own = Path(cache) / hashlib.sha256(place.encode()).hexdigest()[:16]
         try:
             if remote:
-                self._items = StreamingDataset(place, cache_dir=str(own), max_cache_size=cache_size)
+                self._items = StreamingDataset(place, cache_dir=str(own), max_cache_size=f"{gigabytes}GB")
                 len(self._items)  # fetches the index
             for index in own.rglob(INDEX) if remote else [Path(place) / INDEX]:
-                check_index(json.loads(index.read_text()), None if remote else Path(place))
+                listed = json.loads(index.read_text())
+                check_index(listed, None if remote else Path(place))
+                self.largest_chunk: int = max(int(chunk["chunk_bytes"]) for chunk in listed["chunks"])
             if not remote:
                 self._items = StreamingDataset(place)
             about = json.loads(bytes(self._items[0]))
@@ -102,6 +108,19 @@ class Shards:
                 f"data.shards: item {number} of {home} in {self.place} cannot be read ({error}); if it is damaged, "
                 f"remove {chunk_name(home)} and write it again"
             ) from error
+
+    def check_room(self, homes: int) -> None:
+        """Check that so many homes can be kept at once: else chunks would be fetched anew for every collection.
+
+        Raises:
+            UserError: if they cannot.
+        """
+        needed = homes * self.largest_chunk / 1e9
+        if "://" in self.place and needed > self.gigabytes:
+            raise UserError(
+                f"data.module.shard_gigabytes: got {self.gigabytes}, expected at least {needed:.3g} GB, the chunks of "
+                f"the {homes} homes that are looked into at once; or take fewer, scale.parallel_scenes"
+            )
 
     def check(self, observer: Observer) -> None:
         """Check that views are what the config asks for.
@@ -179,14 +198,15 @@ class ShardData(SceneData):
     Args:
         shards: folder or URL that `python -m imagination.render +shards=…` wrote.
         shard_cache: folder for chunks of a URL.
-        shard_cache_size: most that is kept there.
+        shard_gigabytes: most that is kept there.
         others: see `SceneData`.
     """
 
-    def __init__(self, shards: str, shard_cache: str, shard_cache_size: str, **others: Any) -> None:
+    def __init__(self, shards: str, shard_cache: str, shard_gigabytes: float, **others: Any) -> None:
         super().__init__(**others)
-        self._where = shards, shard_cache, shard_cache_size
+        self._where = shards, shard_cache, shard_gigabytes
         self._collector: ShardCollector | None = None
+        self._homes: list[str] = []
 
     def setup(self, stage: str) -> None:
         if stage == "fit":
@@ -198,7 +218,41 @@ class ShardData(SceneData):
         if self._collector is None:
             shards = Shards(*self._where)
             shards.check(self.observer)
-            homes = list(shards.homes)[rank() :: ranks()]
+            self._homes = self._training_homes(shards)
             share = self.parallel_scenes // ranks()
-            self._collector = ShardCollector(shards, homes, self.seed, share, steps)
+            shards.check_room(min(self.parallel_scenes, len(self._homes)))
+            self._collector = ShardCollector(shards, self._homes[rank() :: ranks()], self.seed, share, steps)
         return self._collector
+
+    def state_dict(self) -> dict[str, Any]:
+        """The homes that this run trains on: a corpus may have grown when it goes on."""
+        return {"homes": self._homes}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self._homes = list(state_dict["homes"])
+
+    def _training_homes(self, shards: Shards) -> list[str]:
+        """Those of the training split that the corpus holds; of a run that goes on, those that it began with.
+
+        Raises:
+            UserError: if there are none, or some of those are gone.
+        """
+        if self._homes:
+            if lost := [home for home in self._homes if home not in shards.homes]:
+                raise UserError(
+                    f"data.shards: {shards.place} does not hold {', '.join(lost[:5])} any more, which this run began "
+                    "with; write them again, or start a new run"
+                )
+            return self._homes
+        asked = self.observer.source.scenes("train")
+        homes = [home for home in asked if home in shards.homes]
+        if not homes:
+            raise UserError(
+                f"data.shards: {shards.place} holds {', '.join(list(shards.homes)[:5])}, expected homes of the "
+                f"training split: {', '.join(asked[:5])}, …; choose the scene source it was written with"
+            )
+        if missing := len(asked) - len(homes):
+            log.warning("data.shards: %d of the %d homes of training are not in it", missing, len(asked))
+        if others := len(shards.homes) - len(homes):
+            log.warning("data.shards: %d homes in it are not of this training and left out", others)
+        return homes

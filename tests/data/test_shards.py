@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 from dataclasses import dataclass, replace
+from errno import ENOSPC
 from pathlib import Path
 from signal import SIGKILL
 from threading import Thread
@@ -17,7 +18,7 @@ from imagination import errors
 from imagination.config import compose
 from imagination.data import corpus as corpora
 from imagination.data.corpus import INDEX, Recipe
-from imagination.data.shards import ShardCollector, Shards
+from imagination.data.shards import ShardCollector, ShardData, Shards
 from imagination.errors import UserError
 from imagination.scenes.scene import Scene, Split
 from imagination.scenes.sensor import IdealSensor
@@ -45,7 +46,7 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def opened(folder: Path) -> Shards:
-    return Shards(str(folder), str(folder / "unused"), "1GB")
+    return Shards(str(folder), str(folder / "unused"), 1.0)
 
 
 def poses(views: Views) -> list[tuple[float, ...]]:
@@ -207,7 +208,7 @@ def test_a_home_whose_record_is_damaged_is_written_again(
 
 def test_a_corpus_behind_a_url_may_grow(corpus: Path, tmp_path: Path) -> None:
     folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rooms(6))
-    url = f"local://{folder}", str(tmp_path / "kept"), "1GB"  # litdata fetches it as it would from s3://
+    url = f"local://{folder}", str(tmp_path / "kept"), 1.0  # litdata fetches it as it would from s3://
     assert same(Shards(*url).read("train_3", 4), opened(corpus).read("train_3", 4))
     assert list((tmp_path / "kept").rglob("chunk-train_3.bin"))
     corpora.write_home(watcher, "train_5", folder, RECIPE)
@@ -215,6 +216,94 @@ def test_a_corpus_behind_a_url_may_grow(corpus: Path, tmp_path: Path) -> None:
     grown = Shards(*url)
     assert list(grown.homes) == [*HOMES, "train_5"]
     assert same(grown.read("train_5", 0), opened(folder).read("train_5", 0))
+
+
+def streamed(corpus: str, folder: Path, count: int, gigabytes: float = 1.0) -> ShardData:
+    """Data of a training on the first `count` rooms, out of a corpus."""
+    return ShardData(
+        shards=corpus, shard_cache=str(folder / "kept"), shard_gigabytes=gigabytes,
+        observer=observer(folder, Rooms(count)), unit_categories=["bed"], sampler=UniformPoses(),
+        held_out_sampler=UniformPoses(), imaginable=1.0, neighbourhood=0.62, seed=3, parallel_scenes=2, batch_size=5,
+        held_out_views={"val": 7, "test": 4}, workers=0,
+    )  # fmt: skip
+
+
+def test_training_takes_the_homes_of_its_split_alone(
+    corpus: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder, tests = copy(corpus, tmp_path), observer(tmp_path, Rooms(5))
+    corpora.write_home(tests, "test_0", folder, RECIPE)
+    corpora.write_index(folder, tests, RECIPE)
+    assert streamed(str(folder), tmp_path, 3).collector(4).homes == HOMES[:3]
+    assert "3 homes in it are not of this training" in caplog.text  # two of train, one of test
+    (folder / "train_1.record.json").unlink()
+    corpora.write_index(folder, tests, RECIPE)
+    assert streamed(str(folder), tmp_path, 3).collector(4).homes == ["train_0", "train_2"]
+    assert "1 of the 3 homes of training are not in it" in caplog.text
+    for home in HOMES:
+        (folder / f"{home}.record.json").unlink(missing_ok=True)
+    corpora.write_index(folder, tests, RECIPE)
+    with pytest.raises(UserError, match="holds test_0, expected homes of the training split: train_0"):
+        streamed(str(folder), tmp_path, 3).collector(4)
+
+
+def test_a_run_goes_on_with_the_homes_it_began_with(corpus: Path, tmp_path: Path) -> None:
+    folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rooms(5))
+    (folder / "train_2.record.json").rename(tmp_path / "later")
+    corpora.write_index(folder, watcher, RECIPE)
+    begun = streamed(str(folder), tmp_path, 5)
+    views = begun.collector(4).start(3)()
+    (tmp_path / "later").rename(folder / "train_2.record.json")  # the corpus has grown meanwhile
+    corpora.write_index(folder, watcher, RECIPE)
+    resumed = streamed(str(folder), tmp_path, 5)
+    resumed.load_state_dict(begun.state_dict())
+    assert same(resumed.collector(4).start(3)(), views)
+    assert not same(streamed(str(folder), tmp_path, 5).collector(4).start(3)(), views)
+    (folder / "train_0.record.json").unlink()
+    corpora.write_index(folder, watcher, RECIPE)
+    lost = streamed(str(folder), tmp_path, 5)
+    lost.load_state_dict(begun.state_dict())
+    with pytest.raises(UserError, match="does not hold train_0 any more, which this run began with"):
+        lost.collector(4)
+
+
+def test_homes_that_are_open_at_once_have_room(corpus: Path, tmp_path: Path) -> None:
+    largest = max((corpus / f"chunk-{home}.bin").stat().st_size for home in HOMES)
+    enough = 2 * largest / 1e9
+    streamed(f"local://{corpus}", tmp_path, 5, max(0.001, 1.01 * enough)).collector(4)
+    assert enough > 0.001, "chunks are too small to tell"
+    with pytest.raises(UserError, match="data.module.shard_gigabytes: got 0.001, expected at least"):
+        streamed(f"local://{corpus}", tmp_path, 5, 0.001).collector(4)
+
+
+def test_a_home_that_no_chunk_can_hold_is_told_before_it_is_rendered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(corpora, "MOST_BYTES", 50_000)
+    (told,) = dict(corpora.write_homes(observer(tmp_path, Rooms(5)), HOMES[:1], tmp_path, RECIPE, 0)).values()
+    assert "views: got 12 of each home, about 0." in told and "write fewer of more homes" in told
+    assert not list(tmp_path.glob("chunk-*"))
+
+
+def test_another_version_of_the_program_writes_another_corpus(
+    corpus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(corpora, "code_version", lambda: "another version")
+    with pytest.raises(UserError, match="made with program .* but the config asks for another vers"):
+        corpora.unwritten(copy(corpus, tmp_path), observer(tmp_path, Rooms(5)), HOMES, RECIPE)
+    streamed(str(corpus), tmp_path, 5).collector(4)  # trainings may read it all the same
+
+
+def test_a_full_disk_ends_the_corpus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The homes after it would be rendered in vain."""
+
+    def full(*_: object) -> None:
+        raise OSError(ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("imagination.runs.os.replace", full)
+    written = corpora.write_homes(observer(tmp_path, Rooms(5)), HOMES, tmp_path, RECIPE, 0)
+    with pytest.raises(errors.CannotWriteError, match="No space left on device; free some space"):
+        list(written)
 
 
 def test_an_index_lists_all_that_was_there_when_it_is_written(corpus: Path, tmp_path: Path) -> None:
@@ -306,7 +395,7 @@ def test_a_broken_home_is_told_and_left_out(command: Command, tmp_path: Path) ->
     assert done.returncode == 0, done.stderr
     assert "train_1 is left out: OSError: its roof is missing" in done.stderr
     assert "1 homes failed: train_1; run this again" in done.stderr
-    homes = Shards(str(tmp_path / "corpus"), "", "1GB").homes
+    homes = Shards(str(tmp_path / "corpus"), "", 1.0).homes
     assert list(homes) == ["train_0", "train_2"]
 
 

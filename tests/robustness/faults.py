@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
+
 from imagination import runs
 from imagination.checkpoints import Checkpoint, read_state
 from imagination.data.corpus import ABOUT, INDEX
@@ -27,6 +29,9 @@ from tests.rooms import tiny_room
 
 Result = dict[str, bytes]
 """What a run leaves, by name."""
+
+Done = dict[str, int]
+"""What work is finished, and how far or when."""
 
 FRAMES = 200
 """Of the recorded drive."""
@@ -54,6 +59,8 @@ class Job:
         result: where its result lies, under the folder it runs in; beside it those of other runs.
         read: what of a result is there, by readers that refuse what is half-written.
         cached: whether it reads and fills the cache.
+        done: what of its work need not be done again, if it is stopped now.
+        again: what of that was done again by the command that went on.
     """
 
     name: str
@@ -61,6 +68,35 @@ class Job:
     result: str
     read: Callable[[Path], Result]
     cached: bool
+    done: Callable[[Path], Done] = lambda path: {}
+    again: Callable[[Path, Done], list[str]] = lambda path, done: []
+
+
+def trained(run: Path) -> Done:
+    """Steps of training in the last checkpoint."""
+    return {"steps": read_state(run / runs.LAST)["global_step"]} if (run / runs.LAST).is_file() else {}
+
+
+def trained_again(run: Path, done: Done) -> list[str]:
+    """Whether the last of a run's processes logged steps that a checkpoint held before."""
+    newest = max((run / "tensorboard").rglob("events.*"), key=lambda path: path.stat().st_mtime_ns)
+    steps = [
+        event.step
+        for event in EventFileLoader(str(newest)).Load()
+        if any(value.tag.startswith("train/") for value in event.summary.value)
+    ]
+    return ["steps"] if steps and min(steps) < done.get("steps", 0) else []
+
+
+def written(corpus: Path) -> Done:
+    """When the homes that are there were written."""
+    return {path.name: path.stat().st_mtime_ns for path in corpus.glob("*.record.json")}
+
+
+def written_again(corpus: Path, done: Done) -> list[str]:
+    """Homes that were there and are newer now."""
+    now = written(corpus)
+    return [name for name, time in done.items() if now.get(name) != time]
 
 
 def read_training(run: Path) -> Result:
@@ -100,9 +136,9 @@ def jobs(folder: Path) -> list[Job]:
     corpus = "outputs/render/corpus"
     drive_words = "recording=tum", f"recording.path={folder / 'tum'}", f"unit={unit}", camera
     return [
-        Job("train", train, "outputs/chair_unet/latest", read_training, cached=True),
+        Job("train", train, "outputs/chair_unet/latest", read_training, True, trained, trained_again),
         Job("map", drive_words, "outputs/map/latest", read_map, cached=False),
-        Job("render", (*render, f"+shards={corpus}"), corpus, read_corpus, cached=True),
+        Job("render", (*render, f"+shards={corpus}"), corpus, read_corpus, True, written, written_again),
     ]
 
 
@@ -172,7 +208,12 @@ class Faults:
             self.count["kills", job.name] += ended.code != 0
             self.count["halfway", job.name] += bool(set(folder.rglob(PART)) - before)
             self._sound(job, folder)
+        result = folder / job.result
+        done = job.done(result) if result.is_dir() else {}
         self._finish(job, folder)
+        again = job.again(result, done)
+        assert not again, f"{job.name} did again what was done: {again} of {done}"
+        self.count["kept", job.name] += bool(done)
 
     def limited(self, job: Job, folder: Path) -> None:
         """No file may grow beyond a limit: one message says so; without it the job goes on with what is there."""

@@ -9,6 +9,7 @@ import hashlib
 import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -21,6 +22,7 @@ from types import TracebackType
 
 import numpy as np
 
+from imagination.checkpoints import read_state
 from imagination.errors import UserError, require_extra
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid, Grid
@@ -28,8 +30,10 @@ from imagination.geometry.pose import Pose
 from imagination.geometry.projection import Band, project_depth
 from imagination.mapping.mapper import Mapper
 from imagination.mapping.registration import MovingAverage
+from imagination.runs import LAST
 from imagination.scenes.renderer import Renderer
 from imagination.views.poses import sample_poses
+from tests.conftest import ROOT
 from tests.robustness.faults import Faults, disk, jobs
 from tests.robustness.page import write_part
 from tests.rooms import tiny_room
@@ -40,16 +44,16 @@ FLAT = 1.1
 VIEWS = 300
 """Of one pass of mapping and rendering in this process."""
 
-HERE = "this process"
+HERE, LONG = "this process", "the long training"
 
 COLUMNS = {"train": "training", "map": "mapping", "render": "rendering"}
 """Of the table: jobs."""
 
 ROWS = (
     (
-        "killed: times, kills, of which halfway in a file",
-        ("killed", "kills", "halfway"),
-        "goes on to that result",
+        "killed: times, kills, of which halfway in a file; times that finished work was there",
+        ("killed", "kills", "halfway", "kept"),
+        "goes on to that result; none of that work is done again",
     ),
     ("no file beyond a random limit", ("limited",), "one message, code 2; without it, that result"),
     ("a disk of random size, too small", ("full_disk",), "one message, code 2; with more room, that result"),
@@ -111,6 +115,46 @@ class Meanwhile:
         return digest.hexdigest()
 
 
+class LongTraining:
+    """A training that runs as long as the soak does, behind everything else; its memory and its workers'."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        words = "+experiment=chair_unet", "scale=test", "scale.rounds=1000000", "scale.eval_every=200"
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "imagination.train", *words],
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            cwd=folder,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            preexec_fn=lambda: os.nice(15),
+        )
+        self.checkpoint = folder / "outputs" / "chair_unet" / "latest" / LAST
+
+    def rounds(self) -> int:
+        """Done so far."""
+        assert self.process.poll() is None, "the long training has ended"
+        return int(read_state(self.checkpoint)["epoch"]) + 1 if self.checkpoint.is_file() else 0
+
+    def memory(self) -> float:
+        """Of all its processes, MB."""
+        processes = [path for path in Path("/proc").glob("[0-9]*") if group_of(path) == self.process.pid]
+        return sum(resident(path) for path in processes)
+
+    def end(self) -> None:
+        os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+
+def group_of(process: Path) -> int:
+    """Process group of a folder in /proc; 0 if it is gone."""
+    try:
+        return int((process / "stat").read_text().rpartition(")")[2].split()[2])
+    except (FileNotFoundError, ProcessLookupError):
+        return 0
+
+
 class Soak:
     """One soak in a folder of its own.
 
@@ -135,15 +179,21 @@ class Soak:
         self.rounds: list[dict[str, float]] = []  # memory, MB
         for job in self.jobs:
             self.faults.nothing(job)
+        self.long = LongTraining(folder / "long")
+        self.trained: list[int] = []  # rounds of the long training, after each round of faults
 
     def run(self, minutes: float, meanwhile: Meanwhile) -> None:
         """Break things, round by round, until time is up."""
         end = time.monotonic() + 60 * minutes
-        while time.monotonic() < end:
-            self.faults.peaks.clear()
-            meanwhile.peak = 0.0
-            self.round(meanwhile)
-            self.rounds.append({**self.faults.peaks, HERE: meanwhile.peak})
+        try:
+            while time.monotonic() < end:
+                self.faults.peaks.clear()
+                meanwhile.peak = 0.0
+                self.round(meanwhile)
+                self.rounds.append({**self.faults.peaks, HERE: meanwhile.peak, LONG: self.long.memory()})
+                self.trained.append(self.long.rounds())
+        finally:
+            self.long.end()
 
     def round(self, meanwhile: Meanwhile) -> None:
         """Do everything to every job once."""
@@ -187,9 +237,12 @@ class Soak:
         return ["| " + " | ".join(row) + " |" for row in rows]
 
 
-def resident() -> float:
-    """Memory of this process now, MB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
+def resident(process: Path = Path("/proc/self")) -> float:
+    """Memory of a process now, MB; 0 if it has ended."""
+    try:
+        pages = int((process / "statm").read_text().split()[1])
+    except (FileNotFoundError, ProcessLookupError):
+        return 0.0
     return pages * resource.getpagesize() / 1e6
 
 
@@ -203,7 +256,7 @@ def main(words: list[str]) -> None:
         with Meanwhile() as meanwhile:
             soak.run(values["minutes"], meanwhile)
         meanwhile.check()
-    here = [each[HERE] for each in soak.rounds]
+    here, long = ([each[name] for each in soak.rounds] for name in (HERE, LONG))
     text = "\n".join(
         [
             f"{date.today()}: {values['minutes']:g} minutes, {len(soak.rounds)} rounds, seed {values['seed']:g}.",
@@ -212,10 +265,13 @@ def main(words: list[str]) -> None:
             *soak.table(),
             "",
             f"Meanwhile one process rendered and mapped the same {VIEWS} views {meanwhile.passes} times, always with "
-            f"the same images and map, with {here[0]:.0f} MB in the first round and {here[-1]:.0f} in the last.",
+            f"the same images and map, with {here[0]:.0f} MB in the first round and {here[-1]:.0f} in the last. Behind "
+            f"them one training went on: {long[0]:.0f} MB with its workers after its round {soak.trained[0]}, "
+            f"{long[-1]:.0f} after its round {soak.trained[-1]}.",
         ]
     )
     print(text, *soak.rounds, sep="\n")
+    assert 0 < soak.trained[0] < soak.trained[-1], f"the long training stood still: {soak.trained}"
     assert not soak.grown(), f"memory grew: {', '.join(soak.grown())}"
     met = {job.name: soak.faults.count["found", job.name] for job in soak.jobs if job.cached}
     assert all(met.values()), (

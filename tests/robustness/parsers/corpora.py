@@ -28,7 +28,7 @@ if find_spec("litdata") is not None:  # an optional extra
 
     def read(folder: Path) -> object:
         """Every view."""
-        corpus = Shards(str(folder), str(folder / "unused"), "1GB")
+        corpus = Shards(str(folder), str(folder / "unused"), 1.0)
         return [corpus.read(home, number) for home, items in corpus.homes.items() for number in range(items)]
 
     def go_on(folder: Path) -> object:
