@@ -144,6 +144,12 @@ class Checkpoint:
         counts: dict[str, Any] = callbacks.get("TrainingRecord", {})
         return counts and {**counts, "flat": callbacks.get("UntilFlat", {}).get("flat", False)}
 
+    @property
+    def homes(self) -> dict[str, str]:
+        """Names and fingerprints of the homes that it was trained in; none where it does not say."""
+        states = [state for state in self.state.values() if isinstance(state, dict)]
+        return next((dict(state["homes"]) for state in states if isinstance(state.get("homes"), dict)), {})
+
     def require(self, config: DictConfig, whose: str = "the evaluation") -> None:
         """Check that the checkpoint was trained for the camera and the maps of a config.
 

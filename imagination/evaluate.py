@@ -24,6 +24,7 @@ from imagination.resume import key, top
 if TYPE_CHECKING:
     from imagination.checkpoints import Checkpoint
     from imagination.evaluation.protocol import MappingProtocol
+    from imagination.scenes.scene import SceneSource
 
 log = logging.getLogger(__name__)
 
@@ -70,11 +71,13 @@ def evaluate(
     from imagination.evaluation import results
     from imagination.evaluation.training_table import training_rows
 
-    device = "cuda" if torch.cuda.is_available() else "cpu"
     data = instantiate(config.data.module)
+    check_homes(checkpoints, data.observer.source)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
     networks: list[Any] = [checkpoint.model() for checkpoint in checkpoints]
     if config.ade20k:
-        networks.append(PublicHRNet.load(Path(config.ade20k), data.observer.categories, data.observer.camera))
+        observer, mirrored = data.observer, config.scale.mirrored_answers
+        networks.append(PublicHRNet.load(Path(config.ade20k), observer.categories, observer.camera, mirrored))
     try:
         results.evaluate(
             protocol,
@@ -85,6 +88,27 @@ def evaluate(
         )
     finally:
         data.close()
+
+
+def check_homes(checkpoints: Sequence[Checkpoint], source: SceneSource) -> None:
+    """Check that no home that is chosen or measured on was trained in; tell if networks were trained in different ones.
+
+    Raises:
+        UserError: with a home that was.
+    """
+    for split in ("val", "test"):
+        here = {source.fingerprint(home): home for home in source.scenes(split)}  # type: ignore[arg-type]
+        for checkpoint in checkpoints:
+            if both := [(name, here[found]) for name, found in checkpoint.homes.items() if found in here]:
+                trained, found = both[0]
+                raise UserError(
+                    f"ckpt: {checkpoint.path} was trained in {trained}, which is {found} of the split {split!r} now; "
+                    "train it again with these homes, or evaluate with those it was trained with"
+                )
+    told = [checkpoint for checkpoint in checkpoints if checkpoint.homes]
+    for other in told[1:]:
+        if set(other.homes.values()) != set(told[0].homes.values()):
+            log.warning("ckpt: %s and %s were trained in different homes", told[0].path, other.path)
 
 
 def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictConfig:

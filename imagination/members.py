@@ -102,7 +102,7 @@ def key_of(config: DictConfig, without: Sequence[str] = ()) -> str:
     """
     values: Any = OmegaConf.to_container(config)
     values["paths"] |= {"outputs": "", "cache": "", "run": ""}
-    values["sweep_dir"] = values["cache"] = ""
+    values["sweep_dir"] = values["cache"] = values["program"] = ""
     if "ckpt" in values:  # `latest` will be another one tomorrow
         paths = [values["ckpt"]] if isinstance(values["ckpt"], str) else values["ckpt"]
         values["ckpt"] = [str(Path(path).resolve()) for path in paths]

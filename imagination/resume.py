@@ -17,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from imagination import runs
+from imagination.cache import code_version
 from imagination.config import check_targets, explain, validate
 from imagination.errors import UserError
 from imagination.progress import console
@@ -35,6 +36,9 @@ WHERE_AND_HOW = (
 )
 """Nodes that say where and how a run runs, not what it trains: a checkpoint leaves overrides of them out."""
 
+
+PROGRAM = ("baselines", "callbacks", "data", "geometry", "ground_truth", "scenes", "units", "views")
+"""Packages whose code decides what a training makes."""
 
 END = "...\n"
 """Last line of a run's composed config, YAML's mark of a document's end: without it the file was cut."""
@@ -139,7 +143,7 @@ def _new(config: DictConfig) -> Path:
 
 def _begin(folder: Path, config: DictConfig) -> Run:
     config.paths.run = str(folder)
-    config.choices = choices(HydraConfig.get().overrides.task)
+    config.choices, config.program = choices(HydraConfig.get().overrides.task), code_version(PROGRAM)
     runs.write_text(folder / runs.COMPOSED, OmegaConf.to_yaml(config) + END)
     runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
     alone = HydraConfig.get().mode != RunMode.MULTIRUN
@@ -212,6 +216,8 @@ def _go_on(folder: Path, config: DictConfig) -> Run:
     for key in (text.partition("=")[0] for text in changes):
         OmegaConf.update(saved, key, OmegaConf.select(config, key))
     saved.paths.run = str(folder)
+    if saved.program != code_version(PROGRAM):
+        log.warning("%s: the program has changed since this run began; it goes on with today's", folder)
     checkpoint = Path(config.ckpt_path) if config.ckpt_path else folder / runs.LAST
     if not checkpoint.is_file():
         log.warning("%s: no round was finished, so the run begins anew with its own config", folder)

@@ -19,12 +19,13 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from imagination import runs
+from imagination.cache import code_version
 from imagination.config import command, compose, validate
 from imagination.errors import UserError
 from imagination.evaluate import configured
 from imagination.members import EVALUATION_ONLY, key_of
 from imagination.progress import shares, stage
-from imagination.resume import choices, key, top
+from imagination.resume import PROGRAM, choices, key, top
 
 log = logging.getLogger(__name__)
 
@@ -93,7 +94,7 @@ def planned(experiment: str, overrides: Sequence[str]) -> DictConfig:
     """The config of an experiment's run, as imagination.train composes it."""
     asked = [f"+experiment={experiment}", *overrides]
     config = compose("train", [*asked, "paths.run=."])
-    config.choices = choices(asked)
+    config.choices, config.program = choices(asked), code_version(PROGRAM)
     return config
 
 
@@ -117,7 +118,8 @@ def trained(experiment: str, overrides: Sequence[str], outputs: Path) -> Path:
 
 def trained_key(config: DictConfig) -> str:
     """Hash of what a run's training makes."""
-    return key_of(config, (*BESIDE, *(SEGMENTATION if config.model.predicts == "maps" else ())))
+    key = key_of(config, (*BESIDE, *(SEGMENTATION if config.model.predicts == "maps" else ())))
+    return f"{key} {config.get('program')}"  # a run of other code is another run
 
 
 def newest(outputs: Path, config: DictConfig, finished: bool) -> Path | None:

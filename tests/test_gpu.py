@@ -41,6 +41,6 @@ def test_a_gpu_and_the_cpu_agree(tmp_path: Path) -> None:
     """In single precision; convolutions on a GPU take 10 bits of the factors (TF32)."""
     checkpoint = Checkpoint.read(make_checkpoint(tmp_path / "chair.ckpt", "+experiment=chair_unet"))
     batch = random_batch(4, 48, 31)
-    on_cpu, on_gpu = (checkpoint.model().to(device).predict(batch).cpu() for device in ("cpu", "cuda"))
+    on_cpu, on_gpu = (checkpoint.model().to(device).predict(batch).maps.cpu() for device in ("cpu", "cuda"))
     assert on_cpu.std() > 0.05
     torch.testing.assert_close(on_gpu, on_cpu, atol=0.01, rtol=0)

@@ -79,6 +79,17 @@ def test_a_run_that_was_trained_or_measured_in_another_way_does_not_count(
     assert called == ["train +experiment=chair_unet scale=test"]
 
 
+def test_a_run_of_other_code_does_not_count(
+    tmp_path: Path, called: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(tmp_path, "1", OVERRIDES, *DONE)
+    study.trained("chair_unet", OVERRIDES, tmp_path)
+    assert called == []
+    monkeypatch.setattr(study, "code_version", lambda packages: "another")
+    study.trained("chair_unet", OVERRIDES, tmp_path)
+    assert called == ["train +experiment=chair_unet scale=test"]
+
+
 def test_a_run_without_a_checkpoint_does_not_count(tmp_path: Path, called: list[str]) -> None:
     run(tmp_path, "1", OVERRIDES, "tables/mapping.csv")
     study.trained("chair_unet", OVERRIDES, tmp_path)

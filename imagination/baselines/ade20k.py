@@ -52,6 +52,7 @@ class PublicHRNet(nn.Module):
     Args:
         table: tells which classes belong to which category.
         camera: that takes the images.
+        mirrored_answers: answer with the mean of what is said of an image and of it in a mirror, as units do.
 
     Raises:
         UserError: if a category claims a class that does not exist, or none claims any.
@@ -59,8 +60,9 @@ class PublicHRNet(nn.Module):
 
     place: Tensor
 
-    def __init__(self, table: CategoryTable, camera: Camera) -> None:
+    def __init__(self, table: CategoryTable, camera: Camera, mirrored_answers: bool = False) -> None:
         super().__init__()
+        self.mirrored_answers = mirrored_answers
         self.categories = [row.name for row in table if row.members.get(SOURCE)]
         if not self.categories:
             raise UserError(
@@ -80,13 +82,15 @@ class PublicHRNet(nn.Module):
         self.network = HRNetV2("hrnet_w48", len(CLASSES), enlarge)
 
     @classmethod
-    def load(cls, folder: Path, table: CategoryTable, camera: Camera) -> "PublicHRNet":
+    def load(
+        cls, folder: Path, table: CategoryTable, camera: Camera, mirrored_answers: bool = False
+    ) -> "PublicHRNet":
         """The network with the weights in a folder, in evaluation mode on the CPU.
 
         Raises:
             UserError: if files are missing or damaged, or are weights of another architecture.
         """
-        made = cls(table, camera)
+        made = cls(table, camera, mirrored_answers)
         encoder, decoder = (read(folder, part) for part in ("encoder", "decoder"))
         fill(made.network, renamed(encoder, decoder), folder)
         return made.eval()
@@ -95,9 +99,21 @@ class PublicHRNet(nn.Module):
     def segment(
         self, rgb: UInt8[Tensor, "b 3 h w"], rows: int, columns: int
     ) -> UInt8[Tensor, "b rows columns"]:
-        """The likeliest class of each pixel as a category: 0 for none, else its place + 1."""
-        logits = at_size(self.network(rgb.to(self.place.device)), rows, columns)
-        return self.place[logits.argmax(dim=1)]
+        """The likeliest category of each pixel, its place + 1, or 0 where a class of none is likelier.
+
+        Classes of one category (chair, armchair, swivel chair) do not compete: their probabilities are added up.
+        """
+        rgb = rgb.to(self.place.device)
+        logits = self.network(rgb)
+        if self.mirrored_answers:
+            logits = (logits + self.network(rgb.flip(-1)).flip(-1)) / 2
+        probabilities = at_size(logits, rows, columns).softmax(dim=1)
+        other = probabilities[:, self.place == 0].amax(dim=1, keepdim=True)
+        own = [
+            probabilities[:, self.place == number + 1].sum(dim=1, keepdim=True)
+            for number in range(len(self.categories))
+        ]
+        return torch.cat([other, *own], dim=1).argmax(dim=1).to(torch.uint8)
 
 
 def read(folder: Path, part: str) -> dict[str, Tensor]:

@@ -51,7 +51,7 @@ class Pictures(Callback):
             return
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
         chosen = spread(batch, self.views)
-        prediction = cast(Model, pl_module).predict(chosen).cpu().numpy()
+        prediction = cast(Model, pl_module).predict(chosen).maps.cpu().numpy()
         arrays = {name: tensor.cpu().numpy() for name, tensor in chosen.items()}
         add_image(trainer, "views/val", draw(arrays, prediction, self.valid_threshold, data.neighbourhood))
 

@@ -32,7 +32,8 @@ class ReplayBufferCallback(Callback):
         aggregation_factor: share of a batch from older views, the rest from the newest collection.
         prefill_steps: collection steps before the first round, a multiple of `update_interval`.
         mirrored_share: of the views in batches, seen in a mirror.
-        collecting_rounds: rounds that collect; those after them train on what is there.
+        collecting_rounds: rounds that collect; those after them train on what is there, and where the buffer does not
+            hold all of it, go through the same collections again.
     """
 
     def __init__(
@@ -73,14 +74,17 @@ class ReplayBufferCallback(Callback):
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
         collector = data.collector(self.update_interval)
-        newest = self.prefill + min(trainer.current_epoch, self.collecting_rounds - 1)
+        every = self.prefill + self.collecting_rounds
+        all_held = every * collector.views_per_collection <= self.buffer.size
+        newest = self.prefill + trainer.current_epoch
+        newest = min(newest, every - 1) if all_held else newest
         begin = perf_counter()
         self._fill(data, collector, newest, 2 * max(1, data.workers))
-        if trainer.current_epoch >= self.collecting_rounds:
+        if all_held and trainer.current_epoch >= self.collecting_rounds:
             self.buffer.settle()
-        elif trainer.current_epoch + 1 < min(trainer.max_epochs or 0, self.collecting_rounds):
+        elif trainer.current_epoch + 1 < (trainer.max_epochs or 0) and not (all_held and newest + 1 == every):
             self._start(collector, newest + 1)  # renders while this round trains
-        collected = (newest + 1) * collector.views_per_collection * ranks()
+        collected = min(newest + 1, every) * collector.views_per_collection * ranks()
         pl_module.log("data/collecting_seconds", perf_counter() - begin)
         pl_module.log("data/collected_views", float(collected))
         pl_module.log(
@@ -102,7 +106,7 @@ class ReplayBufferCallback(Callback):
 
     def _start(self, collector: Collector, index: int) -> None:
         if index not in self._started:
-            self._started[index] = collector.start(index)
+            self._started[index] = collector.start(index % (self.prefill + self.collecting_rounds))
 
 
 DRAWING_THREADS = 4

@@ -1,6 +1,7 @@
 """The data of a run: scenes, the views looked at in them, and batches made of these."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -138,6 +139,16 @@ class SceneData(LightningDataModule):
                 "training: got no replay buffer; add callbacks.replay_buffer, which collects the views"
             )
         return self.rounds
+
+    @cached_property
+    def trained_homes(self) -> dict[str, str]:
+        """Names and fingerprints of the homes of training."""
+        source = self.observer.source
+        return {home: source.fingerprint(home) for home in source.scenes("train")}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Part of checkpoints: an evaluation must not look into homes of training."""
+        return {"homes": self.trained_homes}
 
     def val_dataloader(self) -> DataLoader[Batch]:
         return self._batches_of("val")

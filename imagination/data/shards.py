@@ -226,7 +226,7 @@ class ShardData(SceneData):
 
     def state_dict(self) -> dict[str, Any]:
         """The homes that this run trains on: a corpus may have grown when it goes on."""
-        return {"homes": self._homes}
+        return {"homes": {home: self.observer.source.fingerprint(home) for home in self._homes}}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self._homes = list(state_dict["homes"])

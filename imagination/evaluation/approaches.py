@@ -22,11 +22,13 @@ Predictions = dict[str, np.ndarray]
 
 NEEDS = {
     "maps": "a unit's checkpoint",
+    "plain_maps": "a unit's checkpoint",
     "maps_of_shuffled_rgb": "a unit's checkpoint",
     "images": "a checkpoint of a segmentation network, or the folder of public weights (ade20k=FOLDER)",
 }
 """What an approach may need of networks, and where it comes from: maps, float32 [n, c, v, v], are the probabilities of
-the evaluated categories; so are maps_of_shuffled_rgb, but each view had the colours of another one; images, uint8
+the evaluated categories; plain_maps are the same before units averaged and dilated them, maps_of_shuffled_rgb those of
+views each of which had the colours of another one; images, uint8
 [n, h, w], are first-person segmentations, 0 for none, else the category's row + 1."""
 
 
@@ -104,12 +106,19 @@ class ProjectedSegmentation:
 
 @dataclass(frozen=True)
 class SeenPrediction:
-    """imagination_seen: the prediction where depth saw the cell, prediction ∘ V_seen."""
+    """imagination_seen: the prediction where depth saw the cell, prediction ∘ V_seen.
 
-    needs: ClassVar[str] = "maps"
+    Attributes:
+        needs: maps, or plain_maps for what is to be grown by itself: grown twice is worse than once.
+    """
+
+    needs: str = "maps"
+
+    def __post_init__(self) -> None:
+        check_choice("evidence.needs", self.needs, ("maps", "plain_maps"))
 
     def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
-        probabilities = predictions["maps"]
+        probabilities = predictions[self.needs]
         # masked by what is written, not by zeros: these would be mixed into the rim of V_seen when views are registered
         return Statement(probabilities, np.broadcast_to(views["seen"][:, None], probabilities.shape))
 

@@ -15,10 +15,15 @@ from imagination.data.batches import Batch, observations
 from imagination.errors import UserError
 from imagination.evaluation.approaches import Predictions
 from imagination.precision import answering, resolved
+from imagination.units.unit import Answers
 from imagination.views.collector import Views
 
 PACKAGES = ("units", "baselines", "mapping")
 """Whose code decides, beside that of the cache's makers, what an evaluation finds."""
+
+
+ANSWERS = ("mirrored_answers", "dilated_answers")
+"""Attributes of networks that say how they answer; no weights tell."""
 
 
 @runtime_checkable
@@ -27,8 +32,8 @@ class Model(Protocol):
 
     categories: list[str]
 
-    def predict(self, batch: Batch) -> Tensor:
-        """Probabilities of the unit's categories, (B, C, V, V)."""
+    def predict(self, batch: Batch) -> Answers:
+        """Probabilities of the unit's categories."""
 
 
 @runtime_checkable
@@ -91,16 +96,17 @@ class Predictor:
     @property
     def gives(self) -> frozenset[str]:
         """Which of `NEEDS` it fulfils."""
-        maps = {"maps", "maps_of_shuffled_rgb"} if self.units else set()
+        maps = {"maps", "plain_maps", "maps_of_shuffled_rgb"} if self.units else set()
         return frozenset(maps | ({"images"} if self.segmenters else set()))
 
     @cached_property
     def fingerprint(self) -> str:
-        """Changes with weights, categories, precision and the code that makes predictions and maps of them."""
+        """Changes with weights, categories, how networks answer, precision and the code that makes maps of it."""
         digest = hashlib.sha256((code_version(PACKAGES) + self.precision).encode())
         for model in self.models:
-            digest.update(repr((type(model).__qualname__, model.categories)).encode())
             assert isinstance(model, nn.Module)
+            settings = [vars(part).get(name) for part in model.modules() for name in ANSWERS]
+            digest.update(repr((type(model).__qualname__, model.categories, settings)).encode())
             for name, tensor in model.state_dict().items():
                 digest.update(name.encode())
                 digest.update(
@@ -113,14 +119,18 @@ class Predictor:
         """Those of `NEEDS` that are wanted, for each view."""
         answers: Predictions = {}
         with answering(self.precision, self._device):
-            if "maps" in wanted:
-                answers["maps"] = self._maps(views)
+            if {"maps", "plain_maps"} & set(wanted):
+                both = self._maps(views)
+                answers |= {
+                    name: maps
+                    for name, maps in zip(("maps", "plain_maps"), both, strict=True)
+                    if name in wanted
+                }
             if "maps_of_shuffled_rgb" in wanted:
                 # each view gets the colours of the one half a round further on: of its own only if it is the only one
                 shift = (len(views["rgb"]) + 1) // 2
-                answers["maps_of_shuffled_rgb"] = self._maps(
-                    {**views, "rgb": np.roll(views["rgb"], shift, axis=0)}
-                )
+                shuffled = {**views, "rgb": np.roll(views["rgb"], shift, axis=0)}
+                answers["maps_of_shuffled_rgb"], _ = self._maps(shuffled)
             if "images" in wanted:
                 answers["images"] = self._images(views)
         return answers
@@ -132,7 +142,8 @@ class Predictor:
         weights = (weight for module in modules for weight in module.parameters())
         return next((weight.device.type for weight in weights), "cpu")
 
-    def _maps(self, views: Views) -> Float32[np.ndarray, "n c v v"]:
+    def _maps(self, views: Views) -> tuple[Float32[np.ndarray, "n c v v"], Float32[np.ndarray, "n c v v"]]:
+        """What all units answer, and the same before it was averaged and dilated."""
         chunks = []
         for start in range(0, len(views["pose"]), self.batch_size):
             part = {
@@ -140,9 +151,10 @@ class Predictor:
                 for name in ("rgb", "depth", "occupied", "seen")
             }
             batch = observations(part)
-            maps = torch.cat([unit.predict(batch).cpu() for unit in self.units], dim=1)
-            chunks.append(maps[:, self._order].numpy())
-        return np.concatenate(chunks)
+            each = zip(*(unit.predict(batch) for unit in self.units), strict=True)
+            chunks.append([torch.cat(maps, dim=1).cpu()[:, self._order].numpy() for maps in each])
+        maps, plain = (np.concatenate(kind) for kind in zip(*chunks, strict=True))
+        return maps, plain
 
     def _images(self, views: Views) -> UInt8[np.ndarray, "n h w"]:
         (segmenter,), (rows,) = self.segmenters, self._rows

@@ -13,7 +13,7 @@ from imagination.evaluation.outcome import Choices
 from imagination.evaluation.protocol import MappingProtocol, Subject, homes_with
 from imagination.evaluation.runs import Looks, Run, render, runs_of, views_of
 from imagination.evaluation.selection import THRESHOLDS, tally
-from imagination.evaluation.style import WITH_TRUTH
+from imagination.evaluation.style import NO_RIVALS
 from imagination.evaluation.tables import REFERENCE, Row, to_csv
 from imagination.ground_truth.label import label
 from imagination.mapping.module import Statement
@@ -91,7 +91,7 @@ class _Place(NamedTuple):
 
 def ranked_by(approaches: Sequence[str]) -> str:
     """The approach whose IoU ranks the views: imagination; without it the last that is not told the truth."""
-    fair = [name for name in approaches if name not in WITH_TRUTH]
+    fair = [name for name in approaches if name not in NO_RIVALS]
     return REFERENCE if REFERENCE in approaches else (fair or list(approaches))[-1]
 
 

@@ -22,7 +22,8 @@ MEANINGS = {
     "seg_gt": "true first-person segmentation, projected by depth: ordinary semantic mapping with a perfect network",
     "seg_hrnet": "HRNetV2's first-person segmentation, projected by depth: ordinary semantic mapping",
     "imagination_seen": "the unit's prediction in cells that depth saw",
-    "seen_dilated": "imagination (seen), grown by the best kernel: does imagination do more than grow?",
+    "seen_dilated": "the prediction in cells that depth saw, not dilated by the unit but grown by the best kernel: "
+    "does imagination do more than grow?",
     "imagination": "the unit's whole valid prediction, also where nothing was seen",
     "imagination_dilated": "imagination, grown as imagination (seen) is: what imagining adds to growing",
     "rgb_shuffled": "imagination, each view with the colours of another one: does the unit look at them?",
@@ -30,8 +31,8 @@ MEANINGS = {
 }
 """What the approaches are, for those who read the tables."""
 
-WITH_TRUTH = ("seg_gt", "oracle")
-"""Approaches that are told the truth about a view: never the best of a table, as in the paper."""
+NO_RIVALS = ("seg_gt", "oracle", "rgb_shuffled")
+"""Approaches that are told the truth about a view, and controls: never the best of a table, as in the paper."""
 
 COLOURS = {
     "seg_gt": "#0072b2",

@@ -78,6 +78,7 @@ def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -
                 "iou_shuffled": f"{pooled_iou(report.shuffled[key]):.4f}",
                 "iou_seen": f"{pooled_iou(report.seen[key]):.4f}",
                 "iou_unseen": f"{pooled_iou(counts - report.seen[key]):.4f}",
+                "iou_val": f"{choice.iou:.4f}",
             }
         )
     return rows

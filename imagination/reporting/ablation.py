@@ -11,7 +11,7 @@ from imagination.evaluation.single_views import ranked_by
 from imagination.evaluation.style import label
 from imagination.reporting.config import read_yaml
 from imagination.reporting.content import Content, Drawing, Plain, Section, as_yaml, facts, trainings
-from imagination.reporting.layout import Cell, Column, Layout, Line, bootstrap, cell_of, strengthened
+from imagination.reporting.layout import Cell, Column, Layout, Line, bootstrap, cell_of
 from imagination.reporting.multirun import Member, Multirun
 from imagination.reporting.results import Results, Runs
 from imagination.reporting.score_figures import Point, draw_ablation
@@ -70,9 +70,47 @@ def _layouts(sweep: Multirun, measured: Sequence[Member]) -> Iterator[Layout]:
             )
             for each in measured
         ]
-        blocks.append((label(approach), strengthened([each.number for each in measured], lines)))
-    note = "Pooled over runs, with intervals over homes; the best of each block and column is bold."
+        blocks.append((label(approach), _best_validated(measured, approach, columns, lines)))
+    note = (
+        "Pooled over runs, with intervals over homes; of each block and category what was best on validation homes is "
+        "bold, since test homes choose nothing."
+    )
+    if any(len(_truths(measured, at)) > 1 for at in columns):
+        note += (
+            " Members are measured against different truths, so their IoU tells nothing of which is better."
+        )
     yield Layout("ablation", "IoU of the global map by what was swept", note, columns, blocks, ".3f")
+
+
+def _best_validated(
+    measured: Sequence[Member], approach: str, columns: Sequence[Column], lines: Sequence[Line]
+) -> list[Line]:
+    """Lines with the member in bold whose IoU on validation homes is highest, unless all are equal or truths differ."""
+    changed = [list(line.cells) for line in lines]
+    for place, at in enumerate(columns):
+        found = [_results(each).validated.get((approach, at.category)) for each in measured]
+        values = {
+            row: value for row, value in enumerate(found) if value is not None and lines[row].cells[place]
+        }
+        if len(_truths(measured, at)) == 1 and len(set(values.values())) > 1:
+            for row, value in values.items():
+                if value == max(values.values()) and (cell := lines[row].cells[place]):
+                    changed[row][place] = cell._replace(strong=True)
+    return [line._replace(cells=cells) for line, cells in zip(lines, changed, strict=True)]
+
+
+def _truths(measured: Sequence[Member], at: Column) -> set[tuple[tuple[str, int], ...]]:
+    """What members are measured against in a column: the pixels of truth of each home."""
+    found = set()
+    for each in measured:
+        runs = [
+            runs
+            for key, runs in _results(each).counts.items()
+            if (key.cell_width, key.category) == (at.cell_width, at.category)
+        ]
+        if runs:
+            found.add(tuple(sorted({home: int(pixels[2]) for (home, _), pixels in runs[0].items()}.items())))
+    return found
 
 
 def _drawings(sweep: Multirun, measured: Sequence[Member]) -> Iterator[Drawing]:

@@ -11,7 +11,7 @@ from jaxtyping import Float64, Int64
 
 from imagination.evaluation.metrics import CONFIDENCE, bootstrap_iou, interval, iou, resample
 from imagination.evaluation.outcome import Key
-from imagination.evaluation.style import WITH_TRUTH, label
+from imagination.evaluation.style import NO_RIVALS, label
 from imagination.evaluation.tables import pairs
 from imagination.reporting import paper
 from imagination.reporting.results import Results, Runs, by_home
@@ -154,7 +154,7 @@ def bootstrap(results: Results, runs: Runs, measure: str) -> tuple[Float64[np.nd
 
 def strengthened(names: Sequence[str], lines: Sequence[Line]) -> list[Line]:
     """Lines with the best value of each column in bold, unless all are equal, among approaches not told the truth."""
-    fair = [place for place, name in enumerate(names) if name not in WITH_TRUTH]
+    fair = [place for place, name in enumerate(names) if name not in NO_RIVALS]
     changed = [list(line.cells) for line in lines]
     for column in range(len(lines[0].cells)):
         values = {place: cell.value for place in fair if (cell := lines[place].cells[column]) is not None}

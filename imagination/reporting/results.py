@@ -136,6 +136,12 @@ class Results:
         return (path.is_file() and self._tell(read_by_cells, path)) or {}
 
     @cached_property
+    def validated(self) -> dict[tuple[str, str], float]:
+        """Pooled IoU on validation homes of each approach and category, by which its threshold was chosen."""
+        path = self.folder / "tables" / "mapping.csv"
+        return (path.is_file() and self._tell(read_validated, path)) or {}
+
+    @cached_property
     def provenance(self) -> dict[str, Any]:
         """Command, seed, hardware, seconds and sensor of the evaluation, where they were written."""
         path = self.folder / "tables" / PROVENANCE
@@ -252,6 +258,15 @@ def read_by_cells(path: Path) -> dict[Key, tuple[float, float]]:
         (float(row["iou_seen"]), float(row["iou_unseen"]))
         for row in read_csv(path)
     }  # fmt: skip
+
+
+def read_validated(path: Path) -> dict[tuple[str, str], float]:
+    """IoU on validation homes in a mapping.csv.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    return {(row["approach"], row["category"]): float(row["iou_val"]) for row in read_csv(path)}
 
 
 def _width(row: Row) -> float:

@@ -40,5 +40,20 @@ class ImaginationModule(Unit):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
+        """See `Unit`."""
+        return torch.cat([unit.logits(rgb, depth, occupied, seen) for unit in self.units], dim=1)
+
+    def plain(
+        self,
+        rgb: UInt8[Tensor, "b 3 h w"],
+        depth: Float16[Tensor, "b 1 h w"],
+        occupied: UInt8[Tensor, "b 1 v v"],
+        seen: UInt8[Tensor, "b 1 v v"],
+    ) -> Float[Tensor, "b c v v"]:
         """See `Unit`; each unit looks as often as it is made to."""
-        return torch.cat([unit(rgb, depth, occupied, seen) for unit in self.units], dim=1)
+        return torch.cat([unit.plain(rgb, depth, occupied, seen) for unit in self.units], dim=1)
+
+    def finished(self, plain: Float[Tensor, "b c v v"]) -> Float[Tensor, "b c v v"]:
+        """See `Unit`; each unit as it is made to."""
+        each = zip(self.units, plain.split(1, dim=1), strict=True)
+        return torch.cat([unit.finished(own) for unit, own in each], dim=1)

@@ -16,7 +16,7 @@ from imagination.geometry.morphology import kernel_cells
 from imagination.ranks import sum_over_ranks
 from imagination.units.loss import Loss
 from imagination.units.metrics import THRESHOLDS, EgoScores, best_thresholds, named_scores
-from imagination.units.unit import Unit
+from imagination.units.unit import Answers, Unit
 
 Batch = Mapping[str, Tensor]
 """rgb uint8 (B, 3, H, W); depth float16 (B, 1, H, W), metres; occupied and seen uint8 (B, 1, V, V); label and
@@ -76,14 +76,16 @@ class UnitTraining(LightningModule):
         return logits
 
     @torch.no_grad()
-    def predict(self, batch: Batch) -> Float[Tensor, "b c v v"]:
+    def predict(self, batch: Batch) -> Answers:
         """Probabilities of V_object for a batch on any device, as in evaluation mode and in single precision."""
         training = self.training
         self.eval()
-        logits = self({name: tensor.to(self.device) for name, tensor in batch.items()})
-        probabilities: Tensor = logits.float().sigmoid()
+        plain = self.unit.plain(
+            *(batch[name].to(self.device) for name in ("rgb", "depth", "occupied", "seen"))
+        )
+        maps = self.unit.finished(plain)
         self.train(training)
-        return probabilities
+        return Answers(maps.float().sigmoid(), plain.float().sigmoid())
 
     def setup(self, stage: str) -> None:
         if stage != "fit":

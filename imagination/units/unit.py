@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from math import log
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Float16, UInt8
@@ -19,6 +20,18 @@ from imagination.units.returns import Returns
 
 PRIOR = 0.05
 """What an untrained unit answers about every cell: objects are rare, so training need not first learn that."""
+
+
+class Answers(NamedTuple):
+    """Probabilities of V_object.
+
+    Attributes:
+        maps: as the unit answers.
+        plain: before they were averaged and dilated; see `Unit`.
+    """
+
+    maps: Float[Tensor, "b c v v"]
+    plain: Float[Tensor, "b c v v"]
 
 
 class Unit(nn.Module, ABC):
@@ -56,13 +69,27 @@ class Unit(nn.Module, ABC):
             depth: of the same camera along its optical axis, metres; 0 where there is no return.
             occupied, seen: the depth's projection into the egocentric grid, 0 or 1.
         """
-        logits = self.logits(rgb, depth, occupied, seen)
         if self.training:
-            return logits
+            return self.logits(rgb, depth, occupied, seen)
+        return self.finished(self.plain(rgb, depth, occupied, seen))
+
+    def plain(
+        self,
+        rgb: UInt8[Tensor, "b 3 h w"],
+        depth: Float16[Tensor, "b 1 h w"],
+        occupied: UInt8[Tensor, "b 1 v v"],
+        seen: UInt8[Tensor, "b 1 v v"],
+    ) -> Float[Tensor, "b c v v"]:
+        """What `forward` gives outside training, before it is averaged and dilated."""
+        logits = self.logits(rgb, depth, occupied, seen)
         if self.mirrored_answers:
             mirrored = self.logits(*(view.flip(-1) for view in (rgb, depth, occupied, seen)))
             logits = (logits + mirrored.flip(-1)) / 2
-        return smoothed_and_dilated(logits, self.dilated_answers)
+        return logits
+
+    def finished(self, plain: Float[Tensor, "b c v v"]) -> Float[Tensor, "b c v v"]:
+        """What `forward` makes of `plain`."""
+        return smoothed_and_dilated(plain, self.dilated_answers)
 
     @abstractmethod
     def logits(

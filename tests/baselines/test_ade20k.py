@@ -103,10 +103,22 @@ def test_every_tensor_gets_its_place(tmp_path: Path) -> None:
 
 
 class Sure(torch.nn.Module):
-    """Four pixels of a chair, a bed, a wall and a swivel chair."""
+    """Four pixels of a chair, a bed, a wall and a swivel chair; of an image in a mirror, walls alone."""
 
     def forward(self, rgb: Tensor) -> Tensor:
-        return torch.eye(150)[[19, 7, 0, 75]].T.reshape(1, 150, 2, 2)
+        pixels = 20 * torch.eye(150)[[19, 7, 0, 75]].T.reshape(1, 150, 2, 2)
+        walls = 50 * torch.eye(150)[[0] * 4].T.reshape(1, 150, 2, 2)
+        return walls if rgb[0, 0, 0, 0] > rgb[0, 0, 0, 1] else pixels
+
+
+class Torn(torch.nn.Module):
+    """A pixel that is a wall with 0.4, some kind of chair with 0.6; and one with 0.6 and 0.4."""
+
+    def forward(self, rgb: Tensor) -> Tensor:
+        shares = torch.full((1, 150, 1, 2), 1e-6)
+        shares[0, [0, 19, 30, 75], 0, 0] = torch.tensor([0.4, 0.2, 0.2, 0.2])
+        shares[0, [0, 19, 30, 75], 0, 1] = torch.tensor([0.6, 0.2, 0.1, 0.1])
+        return shares.log()
 
 
 def test_classes_become_categories() -> None:
@@ -126,9 +138,16 @@ def test_classes_become_categories() -> None:
     assert places == {
         "chair": 1, "armchair": 1, "swivel_chair": 1, "bed": 2, "table": 3, "desk": 3, "coffee_table": 3,
     }  # fmt: skip
-    # the likeliest class alone counts
-    network.network = Sure()
-    assert network.segment(torch.zeros(1, 3, 2, 2, dtype=torch.uint8), 2, 2).tolist() == [[[1, 2], [0, 1]]]
+    network.network, image = Sure(), torch.tensor([[0, 9], [0, 9]], dtype=torch.uint8).expand(1, 3, 2, 2)
+    assert network.segment(image, 2, 2).tolist() == [[[1, 2], [0, 1]]]
+    network.mirrored_answers = True
+    assert network.segment(image, 2, 2).tolist() == [[[0, 0], [0, 0]]]
+
+
+def test_classes_of_one_category_do_not_compete() -> None:
+    network = PublicHRNet(table(), CAMERA)
+    network.network = Torn()
+    assert network.segment(torch.zeros(1, 3, 1, 2, dtype=torch.uint8), 1, 2).tolist() == [[[1, 0]]]
 
 
 @pytest.mark.parametrize(

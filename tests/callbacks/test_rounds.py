@@ -1,5 +1,6 @@
 """The batches of a round: the same however they are drawn."""
 
+from collections.abc import Callable
 from unittest.mock import Mock
 
 import numpy as np
@@ -39,3 +40,48 @@ def test_threads_draw_the_batches_that_would_be_drawn_without(
         assert one.keys() == other.keys() and len(one["rgb"]) == 12 // accumulate
         assert all(torch.equal(one[name], other[name]) for name in one)
     assert not torch.equal(alone[0]["rgb"], alone[accumulate]["rgb"])
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"),
+    [
+        (
+            100,
+            [[0, 1, 2], [3], [4], [], []],
+        ),  # holds all 5 collections of 10 views: nothing is collected after them
+        (20, [[1, 2], [3], [4], [0], [1]]),  # it does not: they come again, in their order
+    ],
+)
+def test_rounds_after_the_last_collection_see_the_same_views_again(
+    size: int, expected: list[list[int]]
+) -> None:
+    asked: list[int] = []
+
+    def start(index: int) -> Callable[[], dict[str, np.ndarray]]:
+        def wait() -> dict[str, np.ndarray]:
+            asked.append(index)
+            return {"pose": np.full((10, 3), float(index))}
+
+        return wait
+
+    collector = Mock(views_per_collection=10, start=start)
+    data = Mock(spec=SceneData, seed=1, batch_size=4, workers=1, fields=("pose",))
+    data.collector.return_value = collector
+    callback = ReplayBufferCallback(
+        size, 5, 7, 0.5, 10, 0.0, 3
+    )  # two collections before the first round, then three
+    collected = []
+    for epoch, wanted in enumerate(expected):
+        trainer = Mock(spec=Trainer, current_epoch=epoch, max_epochs=5, datamodule=data)
+        module = Mock(spec=LightningModule)
+        asked.clear()
+        callback.on_train_epoch_start(trainer, module)
+        assert asked == wanted
+        logged = {call.args[0]: call.args[1] for call in module.log.call_args_list}
+        collected.append(logged["data/collected_views"])
+    assert collected == [30, 40, 50, 50, 50]
+    resumed = ReplayBufferCallback(size, 5, 7, 0.5, 10, 0.0, 3)  # holds what one that was never stopped holds
+    resumed.on_train_epoch_start(Mock(spec=Trainer, current_epoch=4, max_epochs=5, datamodule=data), Mock())
+    rng = np.random.default_rng(0), np.random.default_rng(0)
+    draws = [each.buffer.draw(4, own)["pose"] for each, own in zip((callback, resumed), rng, strict=True)]
+    np.testing.assert_array_equal(*draws)

@@ -10,7 +10,8 @@ from omegaconf import DictConfig, OmegaConf
 from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint
 from imagination.config import compose
 from imagination.errors import UserError
-from imagination.evaluate import configured
+from imagination.evaluate import check_homes, configured
+from tests.sources import Rooms
 
 
 def checkpoint(choices: list[str], *values: str, name: str = "best") -> Checkpoint:
@@ -178,3 +179,20 @@ def test_nothing_but_plain_values_is_taken_from_a_checkpoint(chair: Checkpoint) 
         strange.state[KEY]["values"]["name"] = value
         with pytest.raises(UserError, match="do not use this file"):
             configured([strange], ["ckpt=best.ckpt"])
+
+
+def test_homes_of_training_are_not_measured_in(caplog: pytest.LogCaptureFixture) -> None:
+    def trained_in(*homes: str) -> Checkpoint:
+        state = {"SceneData": {"homes": {home: rooms.fingerprint(home) for home in homes}}}
+        return Checkpoint(Path(f"{homes[0]}.ckpt"), state)
+
+    rooms = Rooms(3)
+    check_homes([trained_in("train_0", "train_1"), Checkpoint(Path("old.ckpt"), {"callbacks": {}})], rooms)
+    assert caplog.text == ""
+    check_homes([trained_in("train_0"), trained_in("train_0", "train_1")], rooms)
+    assert "were trained in different homes" in caplog.text
+    for home in ("val_2", "test_0"):
+        with pytest.raises(
+            UserError, match=f"{home}.ckpt was trained in {home}, which is {home} of the split"
+        ):
+            check_homes([trained_in("train_0"), trained_in(home)], rooms)

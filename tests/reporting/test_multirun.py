@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import yaml
 from imagination.errors import UserError
 from imagination.report import read
 from imagination.reporting.multirun import MOST_MEMBERS, Multirun, grid
-from tests.reporting.folders import make_folder
+from tests.reporting.folders import APPROACHES, CATEGORIES, WIDTHS, make_folder
 
 SWEPT = ["+experiment=made", "kernels.imaginable=0.6,1.0,1.4", "model.alpha_max=10,30"]
 
@@ -86,6 +87,42 @@ def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
     stems = [drawing.stem for section in content.sections for drawing in section.drawings]
     keys = "kernels_imaginable", "model_alpha_max"
     assert stems == [f"ablation_{key}_{of}" for key in keys for of in ("chair", "bed")]
+
+
+def validated(sweep: Path, number: int, iou: float) -> None:
+    """What mapping.csv says of a member on validation homes."""
+    rows = [
+        f"{approach},{category},{width},0.1,0.1,{iou}"
+        for approach, category, width in product(APPROACHES, CATEGORIES, WIDTHS)
+    ]
+    head = "approach,category,cell_width,iou_seen,iou_unseen,iou_val"
+    (sweep / str(number) / "tables" / "mapping.csv").write_text("\n".join([head, *rows]) + "\n")
+
+
+def strong(sweep: Path) -> set[int]:
+    (table,) = [table for section in read(sweep).sections for table in section.layouts]
+    blocks = [lines for _, lines in table.blocks]
+    return {
+        row
+        for lines in blocks
+        for row, line in enumerate(lines)
+        for cell in line.cells
+        if cell and cell.strong
+    }
+
+
+def test_the_best_on_validation_homes_is_bold(sweep: Path) -> None:
+    """Whatever test homes say; where members have different truths, none is."""
+    assert strong(sweep) == set()
+    for number in range(6):
+        validated(sweep, number, 0.3 + 0.1 * (number == 4))
+    assert strong(sweep) == {4}
+    table = sweep / "2" / "tables" / "runs.csv"
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([lines[0], *(f"{line}0" for line in lines[1:])]) + "\n")  # ten times the truth
+    assert strong(sweep) == set()
+    (layout,) = [layout for section in read(sweep).sections for layout in section.layouts]
+    assert "different truths" in layout.note
 
 
 def test_what_was_swept_is_found_in_configs_that_name_no_choices(sweep: Path) -> None:

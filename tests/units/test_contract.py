@@ -98,6 +98,7 @@ def test_dilated_answers_are_those_of_opencv(variant: str, window: float, cells:
     with torch.no_grad():
         assert torch.equal(plain(*views), painter(*views))  # training is without
         thin, thick = (unit.eval()(*views)[:, 0].numpy() for unit in (plain, painter))
+        np.testing.assert_array_equal(painter.plain(*views)[:, 0].numpy(), thin)
     for before, after in zip(thin, thick, strict=True):
         sums, counts = (
             cv2.boxFilter(each, -1, square.shape, normalize=False, borderType=cv2.BORDER_CONSTANT)

@@ -126,8 +126,8 @@ def test_predict_gives_probabilities_and_leaves_the_module_as_it_was() -> None:
     module = training()
     before = {name: tensor.clone() for name, tensor in module.state_dict().items()}
     batch = random_batch(2, 32, 17)
-    first, second = module.predict(batch), module.predict(batch)
-    assert module.training and not first.requires_grad
+    (first, plain), (second, _) = module.predict(batch), module.predict(batch)
+    assert module.training and not first.requires_grad and plain.shape == first.shape
     assert torch.equal(first, second) and first.shape == (2, 1, 17, 17)
     assert ((first >= 0) & (first <= 1)).all()
     assert all(torch.equal(tensor, before[name]) for name, tensor in module.state_dict().items())
