@@ -157,7 +157,8 @@ def code_version(packages: tuple[str, ...] = MAKERS) -> str:
     """Hash of the code that makes entries, or of other packages', and of the library that casts its rays."""
     digest = hashlib.sha256(version("embreex").encode())
     for package in packages:
-        for path in sorted((Path(__file__).parent / package).rglob("*.py")):
+        root = Path(__file__).parent / package
+        for path in [root] if root.is_file() else sorted(root.rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
 

@@ -97,7 +97,7 @@ def check_homes(checkpoints: Sequence[Checkpoint], source: SceneSource) -> None:
         UserError: with a home that was.
     """
     for split in ("val", "test"):
-        here = {source.fingerprint(home): home for home in source.scenes(split)}  # type: ignore[arg-type]
+        here = {source.fingerprint(home): home for home in source.scenes(split)}
         for checkpoint in checkpoints:
             if both := [(name, here[found]) for name, found in checkpoint.homes.items() if found in here]:
                 trained, found = both[0]
@@ -108,7 +108,11 @@ def check_homes(checkpoints: Sequence[Checkpoint], source: SceneSource) -> None:
     told = [checkpoint for checkpoint in checkpoints if checkpoint.homes]
     for other in told[1:]:
         if set(other.homes.values()) != set(told[0].homes.values()):
-            log.warning("ckpt: %s and %s were trained in different homes", told[0].path, other.path)
+            log.warning(
+                "ckpt: %s and %s were trained in different homes, or by different versions of what makes homes",
+                told[0].path,
+                other.path,
+            )
 
 
 def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictConfig:

@@ -37,8 +37,11 @@ WHERE_AND_HOW = (
 """Nodes that say where and how a run runs, not what it trains: a checkpoint leaves overrides of them out."""
 
 
-PROGRAM = ("baselines", "callbacks", "data", "geometry", "ground_truth", "scenes", "units", "views")
-"""Packages whose code decides what a training makes."""
+PROGRAM = (
+    *("baselines", "callbacks", "data", "geometry", "ground_truth", "scenes", "units", "views"),
+    *("precision.py", "ranks.py", "schedule.py"),
+)
+"""Packages and modules whose code decides what a training makes."""
 
 END = "...\n"
 """Last line of a run's composed config, YAML's mark of a document's end: without it the file was cut."""
@@ -81,7 +84,7 @@ def opened(config: DictConfig) -> Iterator[Run]:
     agree(folder)
     with runs.locked(folder), runs.logging_to(folder / "run.log"):
         if again:
-            _check_changes(folder)
+            _check_changes(folder, config)
         going_on = again or (folder / runs.COMPOSED).is_file()  # of a sweep's member that has not ended
         runs.remove_parts(folder)
         run = _go_on(folder, config) if going_on else _begin(folder, config)
@@ -188,16 +191,17 @@ def _existing(config: DictConfig) -> Path:
     return runs.find_latest(Path(config.paths.outputs), experiment)
 
 
-def _check_changes(folder: Path) -> None:
-    """Refuse overrides that would make another run of the one in `folder`; those it began with may be given again."""
-    overrides = list(HydraConfig.get().overrides.task)
-    allowed, own = (
-        ("resume=", "ckpt_path=", "experiment=", *MAY_CHANGE),
-        set(_read(folder / runs.COMPOSED).choices),
-    )
-    if refused := [
-        text for text in overrides if not text.lstrip("+").startswith(allowed) and text not in own
-    ]:
+def _check_changes(folder: Path, config: DictConfig) -> None:
+    """Refuse overrides that would make another run of the one in `folder`; what it has already may be said again."""
+    allowed, saved = ("resume=", "ckpt_path=", "experiment=", *MAY_CHANGE), _read(folder / runs.COMPOSED)
+
+    def changes(text: str) -> bool:
+        if text.lstrip("+").startswith(allowed) or text in saved.choices:
+            return False
+        name = key(text)
+        return "/" in name or "@" in name or OmegaConf.select(config, name) != OmegaConf.select(saved, name)
+
+    if refused := [text for text in HydraConfig.get().overrides.task if changes(text)]:
         raise UserError(
             f"resume: got {' '.join(refused)}, but a run goes on with its own config; only "
             f"{', '.join(MAY_CHANGE)} may change"
@@ -216,7 +220,7 @@ def _go_on(folder: Path, config: DictConfig) -> Run:
     for key in (text.partition("=")[0] for text in changes):
         OmegaConf.update(saved, key, OmegaConf.select(config, key))
     saved.paths.run = str(folder)
-    if saved.program != code_version(PROGRAM):
+    if OmegaConf.select(saved, "program") != code_version(PROGRAM):
         log.warning("%s: the program has changed since this run began; it goes on with today's", folder)
     checkpoint = Path(config.ckpt_path) if config.ckpt_path else folder / runs.LAST
     if not checkpoint.is_file():

@@ -521,8 +521,8 @@ MUTATIONS = [
     Mutation(
         "networks: categories in the order of checkpoints",
         "evaluation/prediction.py",
-        "maps[:, self._order]",
-        "maps[:, : len(self._order)]",
+        ".cpu()[:, self._order]",
+        ".cpu()[:, : len(self._order)]",
         "tests/evaluation/test_prediction.py",
     ),
     Mutation(

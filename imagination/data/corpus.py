@@ -165,6 +165,9 @@ def write_homes(
                     pool.close()
                     pool = ScenePool(observer, 1)
                     problem = "its process was killed, as for want of memory; try it with scale.workers=1"
+                except CannotWriteError:
+                    pool.close()
+                    raise
                 idle.append(pool)
                 yield home, problem
     finally:

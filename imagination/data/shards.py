@@ -67,7 +67,7 @@ class Shards:
         from litdata import StreamingDataset
 
         self.place = place
-        self.gigabytes = check_range("data.module.shard_gigabytes", gigabytes, 0.001, 1e6, "GB")
+        self.gigabytes = check_range("data.module.shard_gigabytes", gigabytes, 0.0, 1e6, "GB", open_low=True)
         remote = "://" in place
         if not remote and not (Path(place) / INDEX).is_file():
             raise UserError(

@@ -145,8 +145,8 @@ class Trajectory:
 class Order:
     """Tells frames that come again or too late.
 
-    One that is far behind, by more than `JUMP`, is not believed; a later one beside it is: the time before was stray,
-    or the clock was set anew.
+    One that is far behind, by more than `JUMP`, is not believed; the next one, if it is later, is: the time before was
+    stray, or the clock was set anew.
     """
 
     def __init__(self) -> None:
@@ -159,7 +159,7 @@ class Order:
             behind, self._behind = self._behind, stamp if self._last - stamp > JUMP * SECOND else None
             if stamp == self._last:
                 return "repeated time stamp"
-            if behind is None or self._behind is None or not 0 < stamp - behind <= JUMP * SECOND:
+            if behind is None or self._behind is None or stamp <= behind:
                 return "time stamp out of order"
         self._last, self._behind = stamp, None
         return ""

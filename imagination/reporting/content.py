@@ -11,12 +11,13 @@ from matplotlib.figure import Figure
 
 from imagination import members
 from imagination.evaluation import style
+from imagination.evaluation.report import HOMES
 from imagination.evaluation.single_views import CELLS, FILE, MIN_LABEL, TABLE, ranked_by
 from imagination.reporting import curves, layout, map_figures, score_figures, view_figures
 from imagination.reporting.layout import Layout
 from imagination.reporting.results import Results, Row, Tally, missing_maps
 
-TOLD = ("mapping.csv", "paired.csv", "runs.csv", TABLE)
+TOLD = ("mapping.csv", "paired.csv", "runs.csv", HOMES, TABLE)
 """Tables that other parts of the report are made of."""
 
 TITLES = {

@@ -80,10 +80,10 @@ class UnitTraining(LightningModule):
         """Probabilities of V_object for a batch on any device, as in evaluation mode and in single precision."""
         training = self.training
         self.eval()
-        plain = self.unit.plain(
-            *(batch[name].to(self.device) for name in ("rgb", "depth", "occupied", "seen"))
-        )
-        maps = self.unit.finished(plain)
+        views = [batch[name].to(self.device) for name in ("rgb", "depth", "occupied", "seen")]
+        # a plugin's unit may be any module
+        plain = self.unit.plain(*views) if isinstance(self.unit, Unit) else self.unit(*views)
+        maps = self.unit.finished(plain) if isinstance(self.unit, Unit) else plain
         self.train(training)
         return Answers(maps.float().sigmoid(), plain.float().sigmoid())
 

@@ -12,6 +12,7 @@ from imagination.callbacks import replay_buffer
 from imagination.callbacks.replay_buffer import ReplayBufferCallback
 from imagination.data.batches import Batch
 from imagination.data.datamodule import SceneData
+from imagination.views.collector import Collector
 
 
 def batches(device: str, accumulate: int) -> list[Batch]:
@@ -64,7 +65,7 @@ def test_rounds_after_the_last_collection_see_the_same_views_again(
 
         return wait
 
-    collector = Mock(views_per_collection=10, start=start)
+    collector = Mock(spec=Collector, views_per_collection=10, start=start)
     data = Mock(spec=SceneData, seed=1, batch_size=4, workers=1, fields=("pose",))
     data.collector.return_value = collector
     callback = ReplayBufferCallback(
@@ -81,7 +82,7 @@ def test_rounds_after_the_last_collection_see_the_same_views_again(
         collected.append(logged["data/collected_views"])
     assert collected == [30, 40, 50, 50, 50]
     resumed = ReplayBufferCallback(size, 5, 7, 0.5, 10, 0.0, 3)  # holds what one that was never stopped holds
-    resumed.on_train_epoch_start(Mock(spec=Trainer, current_epoch=4, max_epochs=5, datamodule=data), Mock())
+    resumed.on_train_epoch_start(trainer, module)
     rng = np.random.default_rng(0), np.random.default_rng(0)
     draws = [each.buffer.draw(4, own)["pose"] for each, own in zip((callback, resumed), rng, strict=True)]
     np.testing.assert_array_equal(*draws)

@@ -269,11 +269,13 @@ def test_a_run_goes_on_with_the_homes_it_began_with(corpus: Path, tmp_path: Path
 
 def test_homes_that_are_open_at_once_have_room(corpus: Path, tmp_path: Path) -> None:
     largest = max((corpus / f"chunk-{home}.bin").stat().st_size for home in HOMES)
-    enough = 2 * largest / 1e9
-    streamed(f"local://{corpus}", tmp_path, 5, max(0.001, 1.01 * enough)).collector(4)
-    assert enough > 0.001, "chunks are too small to tell"
-    with pytest.raises(UserError, match="data.module.shard_gigabytes: got 0.001, expected at least"):
-        streamed(f"local://{corpus}", tmp_path, 5, 0.001).collector(4)
+    enough = 2 * largest / 1e9  # two homes are looked into at once
+    streamed(f"local://{corpus}", tmp_path, 5, 1.01 * enough).collector(4)
+    with pytest.raises(
+        UserError, match="data.module.shard_gigabytes: got .*, expected at least .* of the 2 homes"
+    ):
+        streamed(f"local://{corpus}", tmp_path, 5, 0.9 * enough).collector(4)
+    streamed(str(corpus), tmp_path, 5, 0.9 * enough).collector(4)  # nothing is fetched from a folder
 
 
 def test_a_home_that_no_chunk_can_hold_is_told_before_it_is_rendered(
@@ -300,8 +302,11 @@ def test_a_full_disk_ends_the_corpus(tmp_path: Path, monkeypatch: pytest.MonkeyP
     def full(*_: object) -> None:
         raise OSError(ENOSPC, "No space left on device")
 
+    watcher = observer(tmp_path, Rooms(5))
+    for home in HOMES:
+        watcher.truth(home)  # what lies in the cache is there already
     monkeypatch.setattr("imagination.runs.os.replace", full)
-    written = corpora.write_homes(observer(tmp_path, Rooms(5)), HOMES, tmp_path, RECIPE, 0)
+    written = corpora.write_homes(watcher, HOMES, tmp_path, RECIPE, 0)
     with pytest.raises(errors.CannotWriteError, match="No space left on device; free some space"):
         list(written)
 

@@ -153,7 +153,7 @@ def test_rays_that_the_lens_never_saw_stay_black() -> None:
     assert valid_radius(np.array(k.distortion)) == pytest.approx(farthest, abs=2e-3)
     assert valid_radius(np.zeros(5)) == valid_radius(np.array([-0.2, 0.05, 0.0, 0.0])) == np.inf
     assert valid_radius(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0])) == np.inf  # divided by as much
-    assert valid_radius(np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0])) < 1  # its denominator passes 0
+    assert valid_radius(np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0])) <= 1  # its denominator passes 0
     white, depth = np.full((480, 640, 3), 255, np.uint8), np.full((480, 640), 2.0, np.float32)
     rgb, got = Alignment(RgbdCamera(k), TARGET)(white, depth, np.eye(3))
     ideal = Intrinsics.of(TARGET)

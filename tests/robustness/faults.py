@@ -73,16 +73,20 @@ class Job:
 
 
 def trained(run: Path) -> Done:
-    """Steps of training in the last checkpoint."""
-    return {"steps": read_state(run / runs.LAST)["global_step"]} if (run / runs.LAST).is_file() else {}
+    """Steps of training in the last checkpoint, and the time now."""
+    if not (run / runs.LAST).is_file():
+        return {}
+    return {"steps": read_state(run / runs.LAST)["global_step"], "now": time.time_ns()}
 
 
 def trained_again(run: Path, done: Done) -> list[str]:
-    """Whether the last of a run's processes logged steps that a checkpoint held before."""
-    newest = max((run / "tensorboard").rglob("events.*"), key=lambda path: path.stat().st_mtime_ns)
+    """Whether steps were logged since that a checkpoint held before."""
+    files = (run / "tensorboard").rglob("events.*")
     steps = [
         event.step
-        for event in EventFileLoader(str(newest)).Load()
+        for file in files
+        if done and file.stat().st_mtime_ns > done["now"]
+        for event in EventFileLoader(str(file)).Load()
         if any(value.tag.startswith("train/") for value in event.summary.value)
     ]
     return ["steps"] if steps and min(steps) < done.get("steps", 0) else []
