@@ -32,7 +32,8 @@ def run(folder: str) -> list[Figure]:
     start = perf_counter()
     render(subject.pool, runs, looks, silent=True)
     rendering = perf_counter() - start
-    views = [views_of(observer, run, looks) for run in runs]
+    # a home may have no viewpoint at a wide spacing
+    views = [each for run in runs if len((each := views_of(observer, run, looks))["pose"])]
     count = sum(len(each["pose"]) for each in views)
     subject.predict(views[0], needs)
     start = perf_counter()
