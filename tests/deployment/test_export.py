@@ -168,6 +168,15 @@ def test_what_is_no_unit_is_refused(files: Path, tmp_path: Path) -> None:
         load([files / "chair.onnx", files / "chair.ckpt"])
 
 
+@pytest.mark.parametrize("number", [-1, 19])
+def test_a_threshold_that_does_not_exist_is_refused(files: Path, tmp_path: Path, number: int) -> None:
+    state = torch.load(files / "chair.ckpt", weights_only=True)
+    state["state_dict"]["chosen"].fill_(number)
+    torch.save(state, tmp_path / "chair.ckpt")
+    with pytest.raises(UserError, match=rf"got the thresholds number \[{number}\], expected 0 to 18"):
+        load(tmp_path / "chair.ckpt")
+
+
 def test_a_checkpoint_that_segments_images_is_refused(files: Path, tmp_path: Path) -> None:
     state = torch.load(files / "chair.ckpt", weights_only=True)
     config = compose("train", ["+experiment=segmentation_hrnet", "scale=test", "paths.run=."])
