@@ -28,8 +28,8 @@ NEEDS = {
 }
 """What an approach may need of networks, and where it comes from: maps, float32 [n, c, v, v], are the probabilities of
 the evaluated categories; plain_maps are the same before units averaged and dilated them, maps_of_shuffled_rgb those of
-views each of which had the colours of another one; images, uint8
-[n, h, w], are first-person segmentations, 0 for none, else the category's row + 1."""
+views each of which had the colours of another one; images, uint8 [n, h, w], are first-person segmentations, 0 for none,
+else the category's row + 1."""
 
 
 class Setting(NamedTuple):
