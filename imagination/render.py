@@ -100,7 +100,8 @@ def write_corpus(config: DictConfig) -> None:
     )
     folder, homes = Path(config.shards), observer.source.scenes(split)[config.part :: config.parts]
     folder.mkdir(parents=True, exist_ok=True)
-    with runs.logging_to(folder / f"render_{config.part}_of_{config.parts}.log"):
+    log_file = folder / f"render_{config.part}_of_{config.parts}.log"
+    with runs.logging_to(log_file), corpus.at_work(folder):
         left = corpus.unwritten(folder, observer, homes, recipe)
         begin, failed = perf_counter(), []
         with closing(corpus.write_homes(observer, left, folder, recipe, config.scale.workers)) as done:

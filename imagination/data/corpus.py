@@ -8,24 +8,24 @@ record beside its chunk, so that any number of jobs may write to one folder and 
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import json
 import logging
 import os
 import re
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 from zlib import crc32
 
 from imagination.cache import code_version, encode
 from imagination.errors import CannotWriteError, UserError, check_range, require_extra
-from imagination.runs import replacing, write_text
+from imagination.runs import remove_parts, replacing, write_text
 from imagination.views.collector import PoseSampler, Stream, look
 from imagination.views.pool import ScenePool
 from imagination.views.view import Observer, plain
@@ -41,8 +41,8 @@ ABOUT = "chunk-about.bin"
 MOST_BYTES = 2**32 - 2**20
 """In a chunk: litdata's offsets in it are of 32 bits."""
 
-LOCK = ".index.lock"
-"""Held by the job that writes the index."""
+LOCK, WORK = ".index.lock", ".work.lock"
+"""Held by the job that writes the index, and shared by all that write homes."""
 
 
 @dataclass(frozen=True)
@@ -73,25 +73,20 @@ class Recipe:
         program = {"program": code_version()[:12]}  # which renders and projects
         return as_read({**describe(observer), **plain(self), **program})
 
-    def key(self, observer: Observer, scene: str) -> str:
-        """Hash of everything that a home's views depend on."""
-        whole = {"views": observer.view_key(scene), "recipe": plain(self)}
-        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
-
 
 class Record(NamedTuple):
     """What is known of a written home.
 
     Attributes:
         scene: its name.
-        key: hash of everything that its views depend on.
-        made_with: what they have in common with those of the other homes.
+        fingerprint: of the scene.
+        made_with: what else its views depend on, in common with those of the other homes.
         items: groups of views.
         chunk: what litdata's index says of it.
     """
 
     scene: str
-    key: str
+    fingerprint: str
     made_with: dict[str, Any]
     items: int
     chunk: dict[str, Any]
@@ -129,13 +124,37 @@ def _checked(record: Record) -> Record:
 
 
 def unwritten(folder: Path, observer: Observer, homes: Sequence[str], recipe: Recipe) -> list[str]:
-    """Those of the homes that are not there yet, or have changed since.
+    """Those of the homes that are not there yet.
 
     Raises:
-        UserError: if the folder holds homes that were made with other settings.
+        UserError: if the folder holds homes that were made with other settings, or other homes of these names.
     """
     records = read_records(folder, observer, recipe)
-    return [home for home in homes if home not in records or records[home].key != recipe.key(observer, home)]
+    written = [home for home in homes if home in records]
+    if others := [home for home in written if records[home].fingerprint != observer.source.fingerprint(home)]:
+        raise UserError(
+            f"shards: got other homes than {folder} holds under the same names ({told(others)}); write to another "
+            f"folder, take the scene source as it was, or remove {_record(folder, others[0]).name} to write that anew"
+        )
+    return [home for home in homes if home not in records]
+
+
+@contextmanager
+def at_work(folder: Path) -> Iterator[None]:
+    """Say that a job writes to a folder; the first that comes and the last that goes remove what is half-written."""
+    with open(folder / WORK, "a") as file:
+        _tidy(folder, file)
+        fcntl.flock(file, fcntl.LOCK_SH)
+        try:
+            yield
+        finally:
+            _tidy(folder, file)
+
+
+def _tidy(folder: Path, lock: IO[str]) -> None:
+    with suppress(BlockingIOError):  # others are at work
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        remove_parts(folder)
 
 
 def write_homes(
@@ -177,18 +196,24 @@ def write_homes(
 
 def write_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> None:
     """Render a home's views and write its chunk, then its record; runs in a worker process."""
-    _record(folder, scene).unlink(missing_ok=True)  # a home that fails now is none of the corpus any more
     seed = (recipe.seed, Stream.SHARDS, crc32(scene.encode()))
-    items, groups = [], recipe.views // recipe.group
-    for group in range(groups):
-        items.append(encode(look(observer, scene, recipe.sampler, (*seed, group), recipe.group)))
-        if (size := groups * len(items[0])) > MOST_BYTES:  # told after the first group, not after the last
-            raise UserError(
-                f"views: got {recipe.views} of each home, about {size / 1e9:.1f} GB, expected at most "
-                f"{MOST_BYTES / 1e9:.1f} GB, as much as a chunk can hold; write fewer of more homes"
-            )
+    items, groups, written = [], recipe.views // recipe.group, 0
+    try:
+        for group in range(groups):
+            items.append(encode(look(observer, scene, recipe.sampler, (*seed, group), recipe.group)))
+            written += len(items[-1])
+            if (
+                size := written * groups / len(items)
+            ) > MOST_BYTES:  # told after the first group, not after the last
+                raise UserError(
+                    f"views: got {recipe.views} of each home, about {size / 1e9:.1f} GB, expected at most "
+                    f"{MOST_BYTES / 1e9:.1f} GB, as much as a chunk can hold; write fewer of more homes"
+                )
+    finally:
+        observer.forget(scene)  # else a worker would hold every home of the corpus in the end
     chunk = _write_chunk(folder / chunk_name(scene), items)
-    record = Record(scene, recipe.key(observer, scene), recipe.made_with(observer), len(items), chunk)
+    fingerprint = observer.source.fingerprint(scene)
+    record = Record(scene, fingerprint, recipe.made_with(observer), len(items), chunk)
     write_text(_record(folder, scene), json.dumps(record._asdict()))
 
 
@@ -218,8 +243,11 @@ def write_index(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, A
         records = read_records(folder, observer, recipe)
         if not records:
             raise UserError(f"shards: no home was written to {folder}; see the messages above")
-        homes = {home: record.items for home, record in records.items()}
-        about = {"views": describe(observer), "group": recipe.group, "homes": homes}
+        homes = {
+            home: {"items": each.items, "fingerprint": each.fingerprint} for home, each in records.items()
+        }
+        made_with = {"views": describe(observer), "sampler": plain(recipe.sampler)}
+        about = {**made_with, "group": recipe.group, "homes": homes}
         first = _write_chunk(folder / ABOUT, [json.dumps(about).encode()])
         chunks = [first["entry"], *(record.chunk["entry"] for record in records.values())]
         # by this time alone litdata knows that what it keeps of a URL is out of date
@@ -247,6 +275,11 @@ def difference(made_with: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
         if made_with.get(part) != value:
             return f"{part} {made_with.get(part)}, but the config asks for {value}"
     return ""
+
+
+def told(homes: Sequence[str], most: int = 5) -> str:
+    """Names of homes for a message, the first few."""
+    return ", ".join(homes[:most]) + (f" and {len(homes) - most} more" if len(homes) > most else "")
 
 
 def prepare_litdata() -> None:

@@ -15,12 +15,12 @@ from zlib import crc32
 import numpy as np
 
 from imagination.cache import decode
-from imagination.data.corpus import INDEX, as_read, chunk_name, describe, difference, prepare_litdata
+from imagination.data.corpus import INDEX, as_read, chunk_name, describe, difference, prepare_litdata, told
 from imagination.data.datamodule import SceneData
 from imagination.errors import UserError, check_range
 from imagination.ranks import rank, ranks
 from imagination.views.collector import Stream, Views, concatenate
-from imagination.views.view import Observer
+from imagination.views.view import Observer, plain
 
 log = logging.getLogger(__name__)
 
@@ -79,16 +79,21 @@ class Shards:
             if remote:
                 self._items = StreamingDataset(place, cache_dir=str(own), max_cache_size=f"{gigabytes}GB")
                 len(self._items)  # fetches the index
+            chunks = []
             for index in own.rglob(INDEX) if remote else [Path(place) / INDEX]:
                 listed = json.loads(index.read_text())
                 check_index(listed, None if remote else Path(place))
-                self.largest_chunk: int = max(int(chunk["chunk_bytes"]) for chunk in listed["chunks"])
+                chunks += [int(chunk["chunk_bytes"]) for chunk in listed["chunks"]]
+            self.largest_chunk = max(chunks)
             if not remote:
                 self._items = StreamingDataset(place)
             about = json.loads(bytes(self._items[0]))
             self.group: int = int(about["group"])
-            self.homes: dict[str, int] = {str(home): int(count) for home, count in about["homes"].items()}
+            homes = about["homes"].items()
+            self.homes: dict[str, int] = {str(home): int(each["items"]) for home, each in homes}
+            self.fingerprints: dict[str, str] = {str(home): str(each["fingerprint"]) for home, each in homes}
             self.views: dict[str, Any] = about["views"]
+            self.sampler: dict[str, Any] = about["sampler"]
         except UserError:
             raise
         except (RuntimeError, ValueError, LookupError, TypeError, OSError, AttributeError) as error:
@@ -132,6 +137,18 @@ class Shards:
             raise UserError(
                 f"data.shards: the views in {self.place} were made with {different}; choose the scale and "
                 "settings they were written with"
+            )
+
+    def check_homes(self, observer: Observer, homes: Sequence[str]) -> None:
+        """Check that homes are those that the config's scene source has under these names.
+
+        Raises:
+            UserError: with those that differ.
+        """
+        if others := [home for home in homes if self.fingerprints[home] != observer.source.fingerprint(home)]:
+            raise UserError(
+                f"data.shards: {self.place} was written of other homes than the config's of these names: "
+                f"{told(others)}; choose the scene source and furniture it was written of"
             )
 
 
@@ -219,6 +236,10 @@ class ShardData(SceneData):
             shards = Shards(*self._where)
             shards.check(self.observer)
             self._homes = self._training_homes(shards)
+            shards.check_homes(self.observer, self._homes)
+            own = as_read(plain(self.sampler))
+            if different := difference(shards.sampler, own):
+                log.warning("data.shards: poses in %s were drawn with %s", shards.place, different)
             share = self.parallel_scenes // ranks()
             shards.check_room(min(self.parallel_scenes, len(self._homes)))
             self._collector = ShardCollector(shards, self._homes[rank() :: ranks()], self.seed, share, steps)
@@ -240,7 +261,7 @@ class ShardData(SceneData):
         if self._homes:
             if lost := [home for home in self._homes if home not in shards.homes]:
                 raise UserError(
-                    f"data.shards: {shards.place} does not hold {', '.join(lost[:5])} any more, which this run began "
+                    f"data.shards: {shards.place} does not hold {told(lost)} any more, which this run began "
                     "with; write them again, or start a new run"
                 )
             return self._homes
@@ -248,8 +269,8 @@ class ShardData(SceneData):
         homes = [home for home in asked if home in shards.homes]
         if not homes:
             raise UserError(
-                f"data.shards: {shards.place} holds {', '.join(list(shards.homes)[:5])}, expected homes of the "
-                f"training split: {', '.join(asked[:5])}, …; choose the scene source it was written with"
+                f"data.shards: {shards.place} holds {told(list(shards.homes))}, expected homes of the "
+                f"training split: {told(asked)}; choose the scene source it was written with"
             )
         if missing := len(asked) - len(homes):
             log.warning("data.shards: %d of the %d homes of training are not in it", missing, len(asked))

@@ -104,6 +104,11 @@ class Observer:
         target = crop(truth.truth, truth.grid, pose, self.ego)
         return View(pose, image.rgb, image.depth, categories, ego.occupied, ego.seen, target)
 
+    def forget(self, name: str) -> None:
+        """Drop what is held of a scene that will not be looked at again."""
+        self._loaded.pop(name, None)
+        self._truths.pop(name, None)
+
     def truth_key(self, name: str) -> dict[str, Any]:
         """What the scene's ground truth depends on."""
         members = {row.name: plain(row.members) for row in self.categories}

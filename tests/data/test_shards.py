@@ -23,13 +23,11 @@ from imagination.errors import UserError
 from imagination.scenes.scene import Scene, Split
 from imagination.scenes.sensor import IdealSensor
 from imagination.views.collector import Views, look
-from imagination.views.samplers import UniformPoses
+from imagination.views.samplers import BalancedPoses, UniformPoses
 from tests.conftest import Command
 from tests.data.test_collecting import observer, same
 from tests.rooms import tiny_room
 from tests.sources import Rooms
-
-pytest.importorskip("litdata")
 
 RECIPE = Recipe(UniformPoses(), seed=1, views=12, group=2)
 HOMES = Rooms(5).scenes("train")
@@ -57,6 +55,7 @@ def test_what_is_written_is_read(corpus: Path, tmp_path: Path) -> None:
     watcher, read = observer(tmp_path, Rooms(5)), opened(corpus)
     assert read.homes == dict.fromkeys(sorted(HOMES), 6) and read.group == 2
     read.check(watcher)
+    read.check_homes(watcher, HOMES)
     from zlib import crc32
 
     seed = (1, corpora.Stream.SHARDS, crc32(b"train_3"), 4)
@@ -170,28 +169,68 @@ def test_homes_made_with_other_settings_are_refused(corpus: Path, tmp_path: Path
     assert (folder / INDEX).read_bytes() == before
 
 
-def test_a_home_that_changed_and_fails_now_leaves_the_corpus(corpus: Path, tmp_path: Path) -> None:
-    class Rebuilt(Attic):
-        def fingerprint(self, scene: str) -> str:
-            return f"{super().fingerprint(scene)} {scene == 'train_1'}"
+class Rebuilt(Rooms):
+    """Rooms of which one is another under the same name, as with other furniture."""
 
+    def fingerprint(self, scene: str) -> str:
+        return f"{super().fingerprint(scene)} {scene == 'train_1'}"
+
+
+def test_other_homes_of_the_same_names_are_refused(corpus: Path, tmp_path: Path) -> None:
     folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rebuilt(5))
     for home in HOMES:
         if home != "train_1":
             corpora.write_home(watcher, home, folder, RECIPE)
-    assert corpora.unwritten(folder, watcher, HOMES, RECIPE) == ["train_1"]
-    assert dict(corpora.write_homes(watcher, ["train_1"], folder, RECIPE, 0)) == {
-        "train_1": "OSError: its roof is missing"
-    }
+    before = (folder / "chunk-train_1.bin").read_bytes()
+    with pytest.raises(
+        UserError, match=r"same names \(train_1\); .* or remove train_1.record.json to write that"
+    ):
+        corpora.unwritten(folder, watcher, HOMES, RECIPE)
+    assert (folder / "chunk-train_1.bin").read_bytes() == before
     corpora.write_index(folder, watcher, RECIPE)
-    assert list(opened(folder).homes) == ["train_0", "train_2", "train_3", "train_4"]
+    opened(folder).check_homes(watcher, ["train_0", "train_2"])
+    with pytest.raises(UserError, match="other homes than the config's of these names: train_1; choose"):
+        opened(folder).check_homes(watcher, HOMES)
+    (folder / "train_1.record.json").unlink()
+    assert corpora.unwritten(folder, watcher, HOMES, RECIPE) == ["train_1"]
+
+
+def test_training_is_told_of_poses_drawn_otherwise(
+    corpus: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = streamed(str(corpus), tmp_path, 5)
+    data.collector(4)
+    assert "poses" not in caplog.text
+    data = streamed(str(corpus), tmp_path, 5)
+    data.sampler = BalancedPoses(["bed"])
+    data.collector(4)
+    assert "poses in" in caplog.text and "UniformPoses, but the config asks for" in caplog.text
+
+
+def test_a_written_home_is_held_no_longer(tmp_path: Path) -> None:
+    watcher = observer(tmp_path, Attic(5))
+    dict(corpora.write_homes(watcher, HOMES, tmp_path / "corpus", RECIPE, 0))
+    assert not watcher._loaded and not watcher._truths
+
+
+def test_what_is_half_written_goes_unless_another_job_is_at_work(tmp_path: Path) -> None:
+    part = tmp_path / f".{corpora.chunk_name('train_0')}.x.part"
+    part.mkdir()
+    (part / "chunk").touch()
+    with corpora.at_work(tmp_path):
+        assert not part.exists()
+        part.mkdir()
+        with corpora.at_work(tmp_path):
+            assert part.is_dir()
+        assert part.is_dir()
+    assert not part.exists()
 
 
 @pytest.mark.parametrize(
     "content",
     [
         *("", '{"scene": "train_1"}', "[1]", "\x00"),
-        '{"scene": "train_1", "key": "", "made_with": {}, "items": 2, "chunk": {}}',
+        '{"scene": "train_1", "fingerprint": "", "made_with": {}, "items": 2, "chunk": {}}',
     ],
 )
 def test_a_home_whose_record_is_damaged_is_written_again(

@@ -31,7 +31,7 @@ Result = dict[str, bytes]
 """What a run leaves, by name."""
 
 Done = dict[str, int]
-"""What work is finished, and how far or when."""
+"""What work is finished, and when, in nanoseconds."""
 
 FRAMES = 200
 """Of the recorded drive."""
@@ -73,23 +73,22 @@ class Job:
 
 
 def trained(run: Path) -> Done:
-    """Steps of training in the last checkpoint, and the time now."""
+    """Steps of training in the last checkpoint."""
     if not (run / runs.LAST).is_file():
         return {}
-    return {"steps": read_state(run / runs.LAST)["global_step"], "now": time.time_ns()}
+    return {str(read_state(run / runs.LAST)["global_step"]): time.time_ns()}
 
 
 def trained_again(run: Path, done: Done) -> list[str]:
-    """Whether steps were logged since that a checkpoint held before."""
-    files = (run / "tensorboard").rglob("events.*")
-    steps = [
-        event.step
-        for file in files
-        if done and file.stat().st_mtime_ns > done["now"]
+    """Steps that were logged since, though a checkpoint held them before."""
+    return [
+        str(event.step)
+        for steps, when in done.items()
+        for file in (run / "tensorboard").rglob("events.*")
+        if file.stat().st_mtime_ns > when
         for event in EventFileLoader(str(file)).Load()
-        if any(value.tag.startswith("train/") for value in event.summary.value)
+        if event.step < int(steps) and any(value.tag.startswith("train/") for value in event.summary.value)
     ]
-    return ["steps"] if steps and min(steps) < done.get("steps", 0) else []
 
 
 def written(corpus: Path) -> Done:
@@ -147,11 +146,10 @@ def jobs(folder: Path) -> list[Job]:
 
 
 class Ended(NamedTuple):
-    """How a process ended: its exit code, what it told, its peak memory in MB."""
+    """How a process ended: its exit code and what it told."""
 
     code: int
     told: str
-    peak: float
 
 
 Watch = Callable[[int], None]
@@ -204,20 +202,34 @@ class Faults:
         self.undisturbed[job.name] = Undisturbed(folder, result, seconds, largest, used)
 
     def killed(self, job: Job, folder: Path) -> None:
-        """SIGKILL at a random moment, then while a file is half-written; each time the job goes on."""
-        for halfway in (False, True):
-            kill, before = self._killer(job, folder, halfway), set(folder.rglob(PART))
-            ended = self._wait(job, self._start(job, folder), kill)
+        """SIGKILL at a random moment, while a file is half-written, once work is finished; each time it goes on."""
+        seconds, result = self.undisturbed[job.name].seconds, folder / job.result
+
+        def later() -> bool:
+            return time.monotonic() > moment
+
+        def halfway() -> bool:
+            return bool(set(folder.rglob(PART)) - before)
+
+        def finished() -> Done:
+            return job.done(result) if result.is_dir() else {}
+
+        def further() -> bool:
+            return bool(set(finished()) - set(done))
+
+        order = [further, later, lambda: later() and halfway()]
+        for ready in order[:: -1 if self.count["killed", job.name] % 2 else 1]:
+            moment = time.monotonic() + self.random.uniform(0, seconds)
+            before, done = set(folder.rglob(PART)), finished()
+            ended = self._wait(job, self._start(job, folder), killer(ready))
             assert ended.code in (0, -signal.SIGKILL), ended.told
             self.count["kills", job.name] += ended.code != 0
-            self.count["halfway", job.name] += bool(set(folder.rglob(PART)) - before)
+            self.count["halfway", job.name] += halfway()
+            self._not_again(job, result, done)
             self._sound(job, folder)
-        result = folder / job.result
-        done = job.done(result) if result.is_dir() else {}
+        done = finished()
         self._finish(job, folder)
-        again = job.again(result, done)
-        assert not again, f"{job.name} did again what was done: {again} of {done}"
-        self.count["kept", job.name] += bool(done)
+        self._not_again(job, result, done)
 
     def limited(self, job: Job, folder: Path) -> None:
         """No file may grow beyond a limit: one message says so; without it the job goes on with what is there."""
@@ -266,16 +278,12 @@ class Faults:
         content[place] ^= 1 << self.random.randrange(8)
         path.write_bytes(content[:place] if self.random.random() < 0.5 else content)
 
-    def _killer(self, job: Job, folder: Path, halfway: bool) -> Watch:
-        """Kills a process and its workers at a random moment, or from then on as soon as a file is half-written."""
-        moment = time.monotonic() + self.random.uniform(0, self.undisturbed[job.name].seconds)
-        before = set(folder.rglob(PART))
-
-        def kill(process: int) -> None:
-            if time.monotonic() > moment and (not halfway or set(folder.rglob(PART)) - before):
-                os.killpg(process, signal.SIGKILL)
-
-        return kill
+    def _not_again(self, job: Job, result: Path, done: Done) -> None:
+        """A command that went on did nothing of what was done before."""
+        if done:
+            again = job.again(result, done)
+            assert not again, f"{job.name} did again what was done: {again} of {done}"
+            self.count["kept", job.name] += 1
 
     def _less(self, size: int, least: float) -> int:
         """A random size that is too small, of any magnitude down to a share of it."""
@@ -284,9 +292,9 @@ class Faults:
     def _refused(self, job: Job, folder: Path, limit: int | None = None) -> None:
         """The job cannot write, tells it in one message and leaves nothing that is not sound."""
         ended = self._wait(job, self._start(job, folder, limit=limit))
-        some = "homes failed" in ended.told  # the others are a corpus
         errors = [line for line in ended.told.splitlines() if line.startswith("error: ")]
-        assert (ended.code, len(errors)) == ((0, 0) if some else (2, 1)), ended
+        assert (ended.code, len(errors)) == (2, 1), ended
+        assert not list(folder.rglob(PART)), "something half-written stayed"
         assert "Traceback" not in ended.told, ended
         assert "could not write" in ended.told or "cannot write" in ended.told, ended
         self._sound(job, folder)
@@ -321,9 +329,9 @@ class Faults:
                 try:
                     told = process.communicate(timeout=TICK)[1].decode()
                     self.peaks[job.name] = max(self.peaks.get(job.name, 0.0), peak)
-                    return Ended(process.returncode, told, peak)
+                    return Ended(process.returncode, told)
                 except subprocess.TimeoutExpired:
-                    peak = max(peak, high_water(process.pid))
+                    peak = max(peak, memory(process.pid))
                     watch(process.pid)
             raise AssertionError(f"{job.name} hangs")
         finally:
@@ -354,13 +362,27 @@ class Faults:
         assert found == truth, f"{job.name}: got {sorted(found)}, expected {sorted(truth)}"
 
 
-def high_water(process: int) -> float:
-    """The most memory that a process has had, MB; 0 if it has ended."""
+def killer(ready: Callable[[], bool]) -> Watch:
+    """Kills a process and its workers as soon as all is ready for that."""
+
+    def kill(process: int) -> None:
+        if ready():
+            os.killpg(process, signal.SIGKILL)
+
+    return kill
+
+
+def memory(process: int) -> float:
+    """Of a process and all that it started, MB; 0 if it has ended."""
+    folder = Path(f"/proc/{process}")
     try:
-        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+        pages = int((folder / "statm").read_text().split()[1])
+        children = [
+            int(child) for file in folder.glob("task/*/children") for child in file.read_text().split()
+        ]
     except (FileNotFoundError, ProcessLookupError):
         return 0.0
-    return next((int(line.split()[1]) / 1e3 for line in lines if line.startswith("VmHWM")), 0.0)
+    return pages * resource.getpagesize() / 1e6 + sum(map(memory, children))
 
 
 @contextmanager

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import date
 from pathlib import Path
@@ -23,7 +24,6 @@ from types import TracebackType
 import numpy as np
 
 from imagination.checkpoints import read_state
-from imagination.errors import UserError, require_extra
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
@@ -34,7 +34,7 @@ from imagination.runs import LAST
 from imagination.scenes.renderer import Renderer
 from imagination.views.poses import sample_poses
 from tests.conftest import ROOT
-from tests.robustness.faults import Faults, disk, jobs
+from tests.robustness.faults import Faults, disk, jobs, memory
 from tests.robustness.page import write_part
 from tests.rooms import tiny_room
 
@@ -44,14 +44,19 @@ FLAT = 1.1
 VIEWS = 300
 """Of one pass of mapping and rendering in this process."""
 
-HERE, LONG = "this process", "the long training"
+HERE = "this process"
+
+TEST = "scale=test", "scale.workers=1"
+TRAIN_ON = "train", "+experiment=chair_unet", *TEST, "scale.rounds=1000000", "scale.eval_every=200"
+RENDER_ON = "render", "+shards=corpus", *TEST, "scale.homes.train=20000", "views=16"
+"""What goes on behind the faults."""
 
 COLUMNS = {"train": "training", "map": "mapping", "render": "rendering"}
 """Of the table: jobs."""
 
 ROWS = (
     (
-        "killed: times, kills, of which halfway in a file; times that finished work was there",
+        "killed: times, kills, of which halfway in a file; times that it found finished work",
         ("killed", "kills", "halfway", "kept"),
         "goes on to that result; none of that work is done again",
     ),
@@ -115,17 +120,24 @@ class Meanwhile:
         return digest.hexdigest()
 
 
-class LongTraining:
-    """A training that runs as long as the soak does, behind everything else; its memory and its workers'."""
+class Long:
+    """A command that goes on as long as the soak does, behind everything else.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    Args:
+        name: for messages.
+        folder: it runs in.
+        words: the module's name and what it is asked to do.
+        done: how much of that, by what lies in the folder.
+    """
+
+    def __init__(self, name: str, folder: Path, words: Sequence[str], done: Callable[[Path], int]) -> None:
+        self.name, self.folder, self.words, self.done = name, folder, words, done
+        self.steps: list[int] = []  # after each round of faults
 
     def begin(self) -> None:
         self.folder.mkdir()
-        words = "+experiment=chair_unet", "scale=test", "scale.rounds=1000000", "scale.eval_every=200"
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "imagination.train", *words],
+            [sys.executable, "-m", f"imagination.{self.words[0]}", *self.words[1:]],
             env=os.environ | {"PYTHONPATH": str(ROOT)},
             cwd=self.folder,
             stdout=subprocess.DEVNULL,
@@ -133,29 +145,27 @@ class LongTraining:
             start_new_session=True,
             preexec_fn=lambda: os.nice(15),
         )
-        self.checkpoint = self.folder / "outputs" / "chair_unet" / "latest" / LAST
 
-    def rounds(self) -> int:
-        """Done so far."""
-        assert self.process.poll() is None, "the long training has ended"
-        return int(read_state(self.checkpoint)["epoch"]) + 1 if self.checkpoint.is_file() else 0
-
-    def memory(self) -> float:
-        """Of all its processes, MB."""
-        processes = [path for path in Path("/proc").glob("[0-9]*") if group_of(path) == self.process.pid]
-        return sum(resident(path) for path in processes)
+    def look(self) -> float:
+        """Note how far it is; the memory of all its processes, MB."""
+        assert self.process.poll() is None, f"{self.name} has ended"
+        self.steps.append(self.done(self.folder))
+        return memory(self.process.pid)
 
     def end(self) -> None:
         os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
 
 
-def group_of(process: Path) -> int:
-    """Process group of a folder in /proc; 0 if it is gone."""
-    try:
-        return int((process / "stat").read_text().rpartition(")")[2].split()[2])
-    except (FileNotFoundError, ProcessLookupError):
-        return 0
+def rounds(folder: Path) -> int:
+    """Of the training in a folder."""
+    checkpoint = folder / "outputs" / "chair_unet" / "latest" / LAST
+    return int(read_state(checkpoint)["epoch"]) + 1 if checkpoint.is_file() else 0
+
+
+def homes(folder: Path) -> int:
+    """Of the corpus in a folder."""
+    return sum(1 for _ in folder.glob("corpus/*.record.json"))
 
 
 class Soak:
@@ -169,11 +179,6 @@ class Soak:
     def __init__(self, folder: Path, seed: int) -> None:
         self.faults, self.jobs, self.left_out = Faults(folder, seed), jobs(folder), []
         try:
-            require_extra("litdata", "shards")
-        except UserError as error:
-            self.left_out.append(f"Rendering is left out: {error}.")
-            self.jobs = [job for job in self.jobs if job.name != "render"]
-        try:
             with disk(folder / "disk", 4096):
                 self.mounts = True
         except (subprocess.CalledProcessError, FileNotFoundError) as error:
@@ -182,22 +187,26 @@ class Soak:
         self.rounds: list[dict[str, float]] = []  # memory, MB
         for job in self.jobs:
             self.faults.nothing(job)
-        self.long = LongTraining(folder / "long")
-        self.trained: list[int] = []  # rounds of the long training, after each round of faults
+        self.longs = [
+            Long("one training", folder / "train_on", TRAIN_ON, rounds),
+            Long("one rendering", folder / "render_on", RENDER_ON, homes),
+        ]
 
     def run(self, minutes: float, meanwhile: Meanwhile) -> None:
         """Break things, round by round, until time is up."""
         end = time.monotonic() + 60 * minutes
-        self.long.begin()
+        for long in self.longs:
+            long.begin()
         try:
             while time.monotonic() < end:
                 self.faults.peaks.clear()
                 meanwhile.peak = 0.0
                 self.round(meanwhile)
-                self.rounds.append({**self.faults.peaks, HERE: meanwhile.peak, LONG: self.long.memory()})
-                self.trained.append(self.long.rounds())
+                held = {long.name: long.look() for long in self.longs}
+                self.rounds.append({**self.faults.peaks, HERE: meanwhile.peak, **held})
         finally:
-            self.long.end()
+            for long in self.longs:
+                long.end()
 
     def round(self, meanwhile: Meanwhile) -> None:
         """Do everything to every job once."""
@@ -213,18 +222,45 @@ class Soak:
                     shutil.rmtree(folder)
                     meanwhile.check()
 
-    def grown(self) -> list[str]:
-        """Whose memory did not stay flat."""
+    def check(self) -> None:
+        """Raise if memory grew, what goes on stood still, or nothing was there to be met."""
         first, last = self.rounds[0], self.rounds[-1]
         told = {name: f"{name}: {first[name]:.0f} to {last[name]:.0f} MB" for name in first}
-        return [told[name] for name in first if last[name] > FLAT * first[name]]
+        grown = [told[name] for name in first if last[name] > FLAT * first[name]]
+        assert not grown, f"memory grew: {', '.join(grown)}"
+        for long in self.longs:
+            steps = long.steps
+            assert len(steps) == 1 or 0 < steps[0] < steps[-1], f"{long.name} stood still: {steps}"
+        cached = [job.name for job in self.jobs if job.cached]
+        never = [
+            (what, job) for what in ("found", "kept") for job in cached if not self.faults.count[what, job]
+        ]
+        assert not never, (
+            f"no damaged entry was met, or no finished work was there: {never}; was the code, and so the cache's "
+            "keys, changed meanwhile?"
+        )
+
+    def behind(self, passes: int) -> list[str]:
+        """What went on behind the faults."""
+        first, last = self.rounds[0], self.rounds[-1]
+        return [
+            f"Meanwhile one process rendered and mapped the same {VIEWS} views {passes} times, always with the same "
+            f"images and map, with {first[HERE]:.0f} MB in the first round and {last[HERE]:.0f} in the last. Behind "
+            "them went on:",
+            "",
+            *(
+                f"- {long.name}: {first[long.name]:.0f} MB with its workers after {long.steps[0]} "
+                f"{long.done.__name__}, {last[long.name]:.0f} after {long.steps[-1]}."
+                for long in self.longs
+            ),
+        ]
 
     def table(self) -> list[str]:
         """What was done how often to which job, and the memory that it took."""
         count, first, last = self.faults.count, self.rounds[0], self.rounds[-1]
 
         def cell(job: str, counted: tuple[str, ...]) -> str:
-            numbers = [str(count[what, job]) for what in counted]
+            numbers = [str(count[what, job]) if (what, job) in count else "–" for what in counted]
             return ", ".join(numbers) if count[counted[0], job] else "–"
 
         memory = [f"{first[job]:.0f}, {last[job]:.0f}" if job in first else "–" for job in COLUMNS]
@@ -241,26 +277,23 @@ class Soak:
         return ["| " + " | ".join(row) + " |" for row in rows]
 
 
-def resident(process: Path = Path("/proc/self")) -> float:
-    """Memory of a process now, MB; 0 if it has ended."""
-    try:
-        pages = int((process / "statm").read_text().split()[1])
-    except (FileNotFoundError, ProcessLookupError):
-        return 0.0
-    return pages * resource.getpagesize() / 1e6
+def resident() -> float:
+    """Memory of this process alone now, MB."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 def main(words: list[str]) -> None:
     """Soak for the minutes asked for and tell what happened."""
-    values = {"minutes": 20.0, "seed": 0.0} | {
-        key: float(value) for key, _, value in (word.partition("=") for word in words)
-    }
+    values = {"minutes": 20.0, "seed": 0.0}
+    for key, _, value in (word.partition("=") for word in words):
+        if key not in values:
+            sys.exit(f"soak: got {key}, expected minutes=… or seed=…")
+        values[key] = float(value)
     with tempfile.TemporaryDirectory() as folder:
         soak = Soak(Path(folder), int(values["seed"]))
         with Meanwhile() as meanwhile:
             soak.run(values["minutes"], meanwhile)
         meanwhile.check()
-    here, long = ([each[name] for each in soak.rounds] for name in (HERE, LONG))
     text = "\n".join(
         [
             f"{date.today()}: {values['minutes']:g} minutes, {len(soak.rounds)} rounds, seed {values['seed']:g}.",
@@ -268,21 +301,11 @@ def main(words: list[str]) -> None:
             "",
             *soak.table(),
             "",
-            f"Meanwhile one process rendered and mapped the same {VIEWS} views {meanwhile.passes} times, always with "
-            f"the same images and map, with {here[0]:.0f} MB in the first round and {here[-1]:.0f} in the last. Behind "
-            f"them one training went on: {long[0]:.0f} MB with its workers after its round {soak.trained[0]}, "
-            f"{long[-1]:.0f} after its round {soak.trained[-1]}.",
+            *soak.behind(meanwhile.passes),
         ]
     )
     print(text, *soak.rounds, sep="\n")
-    assert len(soak.trained) == 1 or 0 < soak.trained[0] < soak.trained[-1], (
-        f"the long training stood still: {soak.trained}"
-    )
-    assert not soak.grown(), f"memory grew: {', '.join(soak.grown())}"
-    met = {job.name: soak.faults.count["found", job.name] for job in soak.jobs if job.cached}
-    assert all(met.values()), (
-        f"no damaged entry was met: {met}; was the code, and so the cache's keys, changed meanwhile?"
-    )
+    soak.check()
     write_part("soak", text)
 
 

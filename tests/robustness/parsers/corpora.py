@@ -1,9 +1,10 @@
 """Parsers of a corpus of views as shards: its index, chunks, and the records of homes."""
 
 import tempfile
-from importlib.util import find_spec
 from pathlib import Path
 
+from imagination.data.corpus import ABOUT, INDEX, Recipe, unwritten, write_home, write_index
+from imagination.data.shards import Shards
 from imagination.views.samplers import UniformPoses
 from tests.data.test_collecting import observer
 from tests.robustness.parsers.parser import Parser, exchanged, kept
@@ -11,35 +12,33 @@ from tests.sources import Rooms
 
 HOME = "train_0"
 
-PARSERS: list[Parser] = []
+RECIPE = Recipe(UniformPoses(), seed=1, views=4, group=2)
 
-if find_spec("litdata") is not None:  # an optional extra
-    from imagination.data.corpus import ABOUT, INDEX, Recipe, unwritten, write_home, write_index
-    from imagination.data.shards import Shards
 
-    RECIPE = Recipe(UniformPoses(), seed=1, views=4, group=2)
+def write(folder: Path) -> None:
+    """Write a corpus of one home."""
+    folder.mkdir()
+    with tempfile.TemporaryDirectory() as cache:
+        write_home(watcher := observer(Path(cache), Rooms(1)), HOME, folder, RECIPE)
+        write_index(folder, watcher, RECIPE)
 
-    def write(folder: Path) -> None:
-        """Write a corpus of one home."""
-        folder.mkdir()
-        with tempfile.TemporaryDirectory() as cache:
-            write_home(watcher := observer(Path(cache), Rooms(1)), HOME, folder, RECIPE)
-            write_index(folder, watcher, RECIPE)
 
-    def read(folder: Path) -> object:
-        """Every view."""
-        corpus = Shards(str(folder), str(folder / "unused"), 1.0)
-        return [corpus.read(home, number) for home, items in corpus.homes.items() for number in range(items)]
+def read(folder: Path) -> object:
+    """Every view."""
+    corpus = Shards(str(folder), str(folder / "unused"), 1.0)
+    return [corpus.read(home, number) for home, items in corpus.homes.items() for number in range(items)]
 
-    def go_on(folder: Path) -> object:
-        """See which homes are there, as the next of several jobs does."""
-        watcher = observer(folder / "cache", Rooms(1))
-        return unwritten(folder, watcher, [HOME], RECIPE), write_index(folder, watcher, RECIPE)
 
-    CORPUS = kept(write)
-    PARSERS += [
-        Parser("shards-index", *exchanged(CORPUS, INDEX, read)),
-        Parser("shards-about", *exchanged(CORPUS, ABOUT, read)),
-        Parser("shards-chunk", *exchanged(CORPUS, f"chunk-{HOME}.bin", read)),
-        Parser("shards-record", *exchanged(CORPUS, f"{HOME}.record.json", go_on)),
-    ]
+def go_on(folder: Path) -> object:
+    """See which homes are there, as the next of several jobs does."""
+    watcher = observer(folder / "cache", Rooms(1))
+    return unwritten(folder, watcher, [HOME], RECIPE), write_index(folder, watcher, RECIPE)
+
+
+CORPUS = kept(write)
+PARSERS = [
+    Parser("shards-index", *exchanged(CORPUS, INDEX, read)),
+    Parser("shards-about", *exchanged(CORPUS, ABOUT, read)),
+    Parser("shards-chunk", *exchanged(CORPUS, f"chunk-{HOME}.bin", read)),
+    Parser("shards-record", *exchanged(CORPUS, f"{HOME}.record.json", go_on)),
+]
