@@ -256,8 +256,8 @@ def _read_shades(path: Path, mode: str) -> tuple[Float64[np.ndarray, "h w"], Boo
     """Brightness of each pixel, 0 to 1, and which pixels are opaque."""
     try:
         data = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+    except (OSError, ValueError) as error:  # a map may name any path, one with null bytes too
+        raise UserError(f"{path}: cannot be read ({getattr(error, 'strerror', error)})") from error
     try:
         image = decode(data, cv2.IMREAD_UNCHANGED, MAX_CELLS)
     except UserError as error:

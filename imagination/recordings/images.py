@@ -109,5 +109,5 @@ def _decode(data: bytes, flags: int, origin: str) -> np.ndarray:
 def _bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
-    except OSError as error:
-        raise BrokenRecordingError(f"{path}: cannot be read ({error.strerror})") from error
+    except (OSError, ValueError) as error:  # a list may name any path, one with null bytes too
+        raise BrokenRecordingError(f"{path}: cannot be read ({getattr(error, 'strerror', error)})") from error

@@ -152,6 +152,7 @@ def test_white_is_what_the_image_says(tmp_path: Path, image: bytes, layer: list[
     ("change", "told"),
     [
         ({"image": "none.pgm"}, "none.pgm: cannot be read"),
+        ({"image": "no\0ne.pgm"}, "cannot be read .embedded null byte"),
         ({"mode": "colourful"}, "mode: got 'colourful', expected one of: raw, scale, trinary"),
         ({"resolution": -0.1}, "resolution: got -0.1"),
         ({"resolution": "wide"}, "cannot be read"),

@@ -431,6 +431,10 @@ def test_a_corrupt_image_ends_it_where_it_is(tmp_path: Path) -> None:
     assert len(got) == 3 and f"{image}: 30 bytes that are no image" in told
     image.unlink()
     assert "cannot be read (No such file" in until_broken(tum(tmp_path / "tum"))[1]
+    listed = tmp_path / "tum" / "rgb.txt"
+    listed.write_text(listed.read_text().replace("rgb/", "rgb/\0"))
+    assert "cannot be read (embedded null byte)" in until_broken(tum(tmp_path / "tum"))[1]
+    listed.write_text(listed.read_text().replace("\0", ""))
     cv2.imwrite(str(image), np.zeros((16, 24, 3), np.uint8))
     assert "expected depth, one channel" in until_broken(tum(tmp_path / "tum"))[1]
 
