@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from datetime import date
 from pathlib import Path
 from threading import Event, get_native_id
@@ -48,7 +49,7 @@ HERE = "this process"
 
 TEST = "scale=test", "scale.workers=1"
 TRAIN_ON = "train", "+experiment=chair_unet", *TEST, "scale.rounds=1000000", "scale.eval_every=200"
-RENDER_ON = "render", "+shards=corpus", *TEST, "scale.homes.train=20000", "views=16"
+RENDER_ON = "render", "+shards=corpus", *TEST, "scale.homes.train=9999", "views=16"
 """What goes on behind the faults."""
 
 COLUMNS = {"train": "training", "map": "mapping", "render": "rendering"}
@@ -136,24 +137,26 @@ class Long:
 
     def begin(self) -> None:
         self.folder.mkdir()
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", f"imagination.{self.words[0]}", *self.words[1:]],
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-            cwd=self.folder,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-            preexec_fn=lambda: os.nice(15),
-        )
+        with open(self.folder / "told", "w") as told:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", f"imagination.{self.words[0]}", *self.words[1:]],
+                env=os.environ | {"PYTHONPATH": str(ROOT)},
+                cwd=self.folder,
+                stdout=subprocess.DEVNULL,
+                stderr=told,
+                start_new_session=True,
+                preexec_fn=lambda: os.nice(15),
+            )
 
     def look(self) -> float:
         """Note how far it is; the memory of all its processes, MB."""
-        assert self.process.poll() is None, f"{self.name} has ended"
+        assert self.process.poll() is None, f"{self.name} has ended: {(self.folder / 'told').read_text()}"
         self.steps.append(self.done(self.folder))
         return memory(self.process.pid)
 
     def end(self) -> None:
-        os.killpg(self.process.pid, signal.SIGKILL)
+        with suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
 
 
