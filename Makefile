@@ -1,5 +1,6 @@
-# setup: the environment in .venv · train: the main job · study: the paper's comparison · test: lints, types, tests · slow, mutate: the long checks (of Ray and Optuna where these extras are)
-# bench: how fast each part is · soak, fuzz: faults and foreign files
+# setup: the environment in .venv · train: the main job · study: the paper's comparison · test: lints, types, tests
+# slow, mutate: the long checks (of Ray and Optuna where these extras are) · bench: how fast each part is
+# soak, fuzz: faults and foreign files
 VENV ?= .venv
 PYTHON ?= python3
 RUN := $(VENV)/bin/python
