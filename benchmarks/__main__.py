@@ -31,11 +31,12 @@ FOLDER = Path(__file__).parent
 
 HEAD = """# Benchmarks
 
-Made by {made}; {minutes:.1f} minutes in all.
+Made {made}. The sections took {minutes:.1f} minutes together.
 
-Medians, in turns with what they are compared to. *Of the limit* says how near a figure is to what this machine could do
-at best, measured in the same run: 100 % is there. *Times as fast* compares with another way to the same result,
-re-implemented in vectorised torch on the same thread (`benchmarks/rivals.py`, equal outputs checked before timing).
+Medians, in turns with what they are compared to, unless a note says otherwise. *Of the limit* says how near a figure is
+to what this machine could do at best, measured in the same run: 100 % is there. *Times as fast* compares with another
+way to the same result, re-implemented in vectorised torch on the same thread (`benchmarks/rivals.py`, equal outputs
+checked before timing).
 """
 
 
@@ -77,30 +78,24 @@ def write(folder: Path, section: str, result: dict[str, Any]) -> None:
 
 
 def page(sections: dict[str, Any]) -> str:
-    """The results as Markdown; how a section was made is told where it was made otherwise than the first."""
+    """The results as Markdown; what all sections were made with is told once."""
     made = [how_made(result) for result in sections.values()]
+    common = [each for each in made[0] if all(each in how for how in made)]
     minutes = sum(result["minutes"] for result in sections.values())
-    parts = [HEAD.format(made="; ".join(made[0]), minutes=minutes)]
+    parts = [HEAD.format(made=", ".join(common), minutes=minutes)]
     for how, (section, result) in zip(made, sections.items(), strict=True):
-        about = [f"Took {result['minutes']:.1f} minutes"]
+        about = [f"took {result['minutes']:.1f} minutes"]
         if "peak_memory" in result:
             about.append(f"peak memory {result['peak_memory']:.1f} GB")
         if result.get("peak_memory_of_processes"):
             about.append(f"{result['peak_memory_of_processes']:.1f} GB the largest process that it started")
-        about += [each for each in how if each not in made[0]]
-        parts.append(f"## {section.capitalize()}\n\n{'; '.join(about)}.\n")
+        if own := [each for each in how if each not in common]:
+            about.insert(0, f"made {', '.join(own)}")
+        told = "; ".join(about)
+        parts.append(f"## {section.capitalize()}\n\n{told[0].upper()}{told[1:]}.\n")
         parts.append("| what | median | beside | ratio | target |\n|---|---|---|---|---|")
         parts += [row(Figure(**each)) for each in result["figures"]]
-        notes = dict.fromkeys(
-            f"- {each['what'].partition(':')[0]}: {each['note']}."
-            for each in result["figures"]
-            if each["note"]
-        )
-        parts += ["", *notes] if notes else [""]
-        for kind, operators in result.get("operators", {}).items():
-            parts.append(f"\nThe default unit's step by operator, {kind} (share of the time, profiled):\n")
-            parts += [f"- {share:.1%} `{name}`" for name, share in operators]
-        parts.append("")
+        parts += ["", *notes(result), ""]
     return "\n".join(parts).rstrip() + "\n"
 
 
@@ -108,12 +103,28 @@ def how_made(result: dict[str, Any]) -> list[str]:
     """Command, day, machine, versions and seed of a section."""
     libraries = ", ".join(f"{name} {number}" for name, number in result["libraries"].items())
     return [
-        f"`{result['command']}`",
-        result["day"],
-        result["hardware"],
-        f"Python {result['python']}, {libraries}",
-        f"seed {result['seed']}",
+        f"by `{result['command']}`",
+        f"on {result['day']}",
+        f"on {result['hardware']}",
+        f"with Python {result['python']}, {libraries}",
+        f"with seed {result['seed']}",
     ]
+
+
+def notes(result: dict[str, Any]) -> list[str]:
+    """What a reader has to know of a section's figures, each once."""
+    of: dict[str, list[str]] = {}
+    for figure in result["figures"]:
+        if figure["note"]:
+            of.setdefault(figure["note"], []).append(figure["what"])
+    lines = []
+    for note, (first, *others) in of.items():
+        more = f" and {len(others)} like it" if others else ""
+        lines.append(f"- {first}{more}: {note}.")
+    for kind, operators in result.get("operators", {}).items():
+        shares = ", ".join(f"{share:.0%} `{name}`" for name, share in operators)
+        lines.append(f"- the default unit's step by operator, {kind}, profiled: {shares}.")
+    return lines
 
 
 def row(figure: Figure) -> str:

@@ -16,11 +16,11 @@ from torch import distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from benchmarks.measure import Figure
-from benchmarks.training import DEFAULT, batches, training_step
+from benchmarks.training import DEFAULT, SIDE, batches, product, training_step
 from imagination.precision import resolved
 
 ROUNDS, CALLS = 9, 4
-"""Alone, together and the exchange are measured in turns so often; calls in each round."""
+"""Everything is measured in turns so often; calls in each round."""
 
 
 def run(folder: str) -> list[Figure]:
@@ -29,21 +29,29 @@ def run(folder: str) -> list[Figure]:
     torch.save(batch, f"{folder}/batch.pt")
     alone, *pair = workers = [Worker(folder, *place) for place in ((0, 1), (0, 2), (1, 2))]
     try:
-        parameters = {worker.pipe.recv() for worker in workers}.pop()
-        seconds: dict[str, list[float]] = {"alone": [], "together": [], "exchange": [], "copy": []}
-        for _ in range(ROUNDS):
-            seconds["alone"].append(measured([alone], "step"))
-            seconds["together"].append(measured(pair, "step"))
-            seconds["exchange"].append(measured(pair, "exchange"))
-            seconds["copy"].append(measured([alone], "copy"))
+        parameters, flops = {worker.pipe.recv() for worker in workers}.pop()
+        turns = {
+            "alone": lambda: measured([alone], "step"),
+            "product": lambda: measured([alone], "product"),
+            "together": lambda: measured(pair, "step"),
+            "exchange": lambda: measured(pair, "exchange"),
+            "copy": lambda: measured([alone], "copy"),
+        }
+        rows = [{name: turn() for name, turn in turns.items()} for _ in range(ROUNDS)]
     finally:
         for worker in workers:
             worker.close()
-    times = {name: median(each) for name, each in seconds.items()}
+    times = {name: median(row[name] for row in rows) for name in turns}
     size, gradients = len(batch["rgb"]), 4 * parameters
     what = f"training step, default unit, {resolved('auto')}, batch {size} and 1 thread a process"
     return [
-        Figure(f"{what}, 1 process", size / times["alone"], "samples/s"),
+        Figure(
+            f"{what}, 1 process",
+            size / times["alone"],
+            "samples/s",
+            size / flops * 2 * SIDE**3 / times["product"],
+            f"its FLOP at the rate of a matrix product of {SIDE}² on 1 thread",
+        ),
         Figure(
             f"{what}, 2 processes",
             2 * size / times["together"],
@@ -92,7 +100,7 @@ def measured(workers: list[Worker], told: str) -> float:
 
 
 def work(pipe: Connection, folder: str, number: int, count: int) -> None:
-    """What a worker's process does: tell the number of parameters, then what it is told."""
+    """What a worker's process does: tell the number of parameters and the FLOP of a step, then what it is told."""
     torch.set_num_threads(1)
     if count > 1:
         meeting = f"file://{folder}/meeting"
@@ -104,16 +112,17 @@ def work(pipe: Connection, folder: str, number: int, count: int) -> None:
         parameters = sum(weight.numel() for weight in module.parameters() if weight.requires_grad)
         return DistributedDataParallel(module) if count > 1 else module
 
-    batch = torch.load(f"{folder}/batch.pt", weights_only=True)
-    step, _ = training_step(folder, DEFAULT, resolved("auto"), batch, prepare)
+    batch, kind = torch.load(f"{folder}/batch.pt", weights_only=True), resolved("auto")
+    step, flops = training_step(folder, DEFAULT, kind, batch, prepare)
     gradients = torch.zeros(parameters)
     target = torch.empty_like(gradients)
     calls: dict[str, Callable[[], object]] = {
         "step": step,
+        "product": product(kind),
         "exchange": lambda: distributed.all_reduce(gradients),
         "copy": lambda: target.copy_(gradients),
     }
-    pipe.send(parameters)
+    pipe.send((parameters, flops))
     while True:
         call = calls[pipe.recv()]
         call()  # both are there, caches are warm

@@ -4,64 +4,33 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 from hydra.utils import instantiate
 
 from benchmarks.measure import Figure, medians
 from benchmarks.subjects import config
-from imagination.evaluation.protocol import MappingProtocol
+from imagination.evaluation.protocol import MappingProtocol, Subject
 from imagination.evaluation.results import subject_of
-from imagination.evaluation.runs import Looks, render, runs_of, views_of
+from imagination.evaluation.runs import KIND, Looks, render, runs_of, views_of
 
 HOMES = [f"test_{number:04d}" for number in range(6)]
 
 
 def run(folder: str) -> list[Figure]:
     """All figures."""
-    desk = config(folder, "scale.workers=0")
-    data = instantiate(desk.data.module)
-    model = instantiate(desk.model.module).eval()
-    asked: MappingProtocol = replace(instantiate(desk.evaluation), viewpoint_sets=1)
-    subject, observer = subject_of(data, [model], asked.precision, keep=False), data.observer
-    protocol = asked.available(subject.predict.gives)
-    needs = protocol._plan(subject).needs
-    for home in HOMES:
-        observer.truth(home)  # measured elsewhere
-    runs, looks = runs_of(HOMES, protocol.cell_widths, 1), Looks(protocol.seed, protocol.orientations)
-
-    def rendered() -> None:
-        shutil.rmtree(kept, ignore_errors=True)
-        render(subject.pool, runs, looks, silent=True)
-
-    def predicted() -> None:
-        for each in views:
-            subject.predict(each, needs)
-
-    kept = f"{folder}/evaluation_views"
-    rendered()
-    # a home may have no viewpoint at a wide spacing
-    views = [each for run in runs if len((each := views_of(observer, run, looks))["pose"])]
-    choices = protocol.choose(subject, HOMES, silent=True)
-    seconds = medians(
-        {
-            "render": rendered,
-            "predict": predicted,
-            "choose": lambda: protocol.choose(subject, HOMES, silent=True),
-            "measure": lambda: protocol.measure(subject, HOMES, choices, silent=True),
-        },
-        least=3,
-    )
-    count = sum(len(each["pose"]) for each in views) // protocol.orientations
+    subject, protocol = set_up(folder)
+    count, seconds = timed(subject, protocol)
     rendering, predicting = seconds["render"], seconds["predict"]
-    limit = count / (rendering + predicting), "rendering and predicting them alone"
-    looks_each, approaches = protocol.orientations, len(protocol.approaches)
-    note = f"{count} viewpoints of {looks_each} views, {approaches} approaches, one process"
+    views, approaches = protocol.orientations, len(protocol.approaches)
+    note = f"{count} viewpoints of {views} views, {approaches} approaches, one process"
     return [
         Figure(
             "evaluation: viewpoints rendered, mapped and scored",
             count / (rendering + seconds["measure"]),
             "viewpoints/s",
-            *limit,
+            count / (rendering + predicting),
+            "rendering and predicting them alone",
             note=note,
         ),
         Figure(
@@ -73,3 +42,45 @@ def run(folder: str) -> list[Figure]:
             note=note,
         ),
     ]
+
+
+def set_up(folder: str) -> tuple[Subject, MappingProtocol]:
+    """The default unit, untrained, and how it is evaluated: one set of viewpoints, nothing kept."""
+    desk = config(folder, "scale.workers=0")
+    data = instantiate(desk.data.module)
+    model = instantiate(desk.model.module).eval()
+    asked: MappingProtocol = replace(instantiate(desk.evaluation), viewpoint_sets=1)
+    subject = subject_of(data, [model], asked.precision, keep=False)
+    for home in HOMES:
+        data.observer.truth(home)  # measured elsewhere
+    return subject, asked.available(subject.predict.gives)
+
+
+def timed(subject: Subject, protocol: MappingProtocol) -> tuple[int, dict[str, float]]:
+    """How many viewpoints there are, and the seconds that each part takes for all of them."""
+    observer = subject.pool.observer
+    runs = runs_of(HOMES, protocol.cell_widths, 1)
+    looks, needs = Looks(protocol.seed, protocol.orientations), protocol._plan(subject).needs
+
+    def render_anew() -> None:
+        shutil.rmtree(Path(observer.cache.folder, KIND), ignore_errors=True)
+        render(subject.pool, runs, looks, silent=True)
+
+    def predict() -> None:
+        for each in views:
+            subject.predict(each, needs)
+
+    render_anew()
+    # a home may have no viewpoint at a wide spacing
+    views = [each for run in runs if len((each := views_of(observer, run, looks))["pose"])]
+    choices = protocol.choose(subject, HOMES, silent=True)
+    seconds = medians(
+        {
+            "render": render_anew,
+            "predict": predict,
+            "choose": lambda: protocol.choose(subject, HOMES, silent=True),
+            "measure": lambda: protocol.measure(subject, HOMES, choices, silent=True),
+        },
+        least=3,
+    )
+    return sum(len(each["pose"]) for each in views) // protocol.orientations, seconds

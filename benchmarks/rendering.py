@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache
 from multiprocessing import get_context
-from multiprocessing.synchronize import Barrier
-from time import perf_counter
-
-import numpy as np
 
 from benchmarks.measure import Figure, medians
 from benchmarks.subjects import camera, home, poses, with_triangles
@@ -18,20 +17,15 @@ VIEWS = 16
 
 SECONDS = 3.0
 
-TRIANGLES = 50_000, 250_000, 1_000_000
+TRIANGLES, SIZES = (50_000, 250_000, 1_000_000), (128, 256)
 
 
 def run(_: str) -> list[Figure]:
     """All figures."""
-    # first, while this process is small
-    together = {
-        (triangles, size): [in_processes(count, triangles, size) for count in (1, 2)]
-        for triangles in TRIANGLES
-        for size in (128, 256)
-    }
+    together = in_processes()  # first, while this process is small
     figures = []
     for triangles in TRIANGLES:
-        for size in (128, 256):
+        for size in SIZES:
             render, trace = measured(triangles, size)
             asked = 200.0 if (triangles, size) == (250_000, 128) else None
             what = f"rendering {size}², RGB + depth + ids, {triangles // 1000} k triangles, 1 process"
@@ -39,16 +33,13 @@ def run(_: str) -> list[Figure]:
             figures.append(Figure(what, VIEWS / render, "views/s", VIEWS / trace, bare, asked))
             if asked:
                 figures.append(Figure(f"{what}: share of tracing", trace / render, "of the time", target=0.6))
-    for (triangles, size), (one, two) in together.items():
-        what = f"rendering {size}², RGB + depth + ids, {triangles // 1000} k triangles, 2 processes"
-        figures.append(Figure(what, two, "views/s", 2 * one, "twice 1 process", note="together"))
-    return figures
+    return figures + together
 
 
 def measured(triangles: int, size: int) -> tuple[float, float]:
     """Seconds to render, and only to trace, a round of views."""
     scene, lens = home(), camera(size)
-    renderer = Renderer(with_triangles(scene.mesh, triangles), scene.lighting)
+    renderer = renderer_with(triangles)
     places = [lens.to_world(pose, scene.floor_height) for pose in poses(scene, VIEWS)]
     rays = [
         module._rays(lens.width, lens.height, lens.focal_length, *lens.principal_point, place)
@@ -65,31 +56,38 @@ def measured(triangles: int, size: int) -> tuple[float, float]:
     return times["render"], times["trace"]
 
 
-def in_processes(count: int, triangles: int, size: int) -> float:
-    """Views a second of so many processes together."""
-    context = get_context("spawn")
-    barrier = context.Barrier(count)
-    with context.Pool(count, initializer=_begin, initargs=(barrier,)) as pool:
-        return float(np.sum(pool.map(_render, [(triangles, size)] * count, chunksize=1)))
+@lru_cache(1)
+def renderer_with(triangles: int) -> Renderer:
+    """Of a home with so many triangles."""
+    scene = home()
+    return Renderer(with_triangles(scene.mesh, triangles), scene.lighting)
 
 
-_barrier: Barrier  # of a worker process
+def in_processes(rounds: int = 4) -> list[Figure]:
+    """Two processes, in turns with one of them: each renders so many rounds, and the slower one counts."""
+    figures = []
+    workers = [ProcessPoolExecutor(1, get_context("spawn")) for _ in range(2)]
+
+    def rendering(count: int, triangles: int, size: int) -> Callable[[], None]:
+        def render() -> None:
+            for task in [worker.submit(_render, triangles, size, rounds) for worker in workers[:count]]:
+                task.result()
+
+        return render
+
+    for triangles in TRIANGLES:
+        for size in SIZES:
+            times = medians({str(count): rendering(count, triangles, size) for count in (1, 2)}, SECONDS)
+            one, two = (count * rounds * VIEWS / times[str(count)] for count in (1, 2))
+            what = f"rendering {size}², RGB + depth + ids, {triangles // 1000} k triangles, 2 processes"
+            figures.append(Figure(what, two, "views/s", 2 * one, "twice 1 process"))
+    for worker in workers:
+        worker.shutdown()
+    return figures
 
 
-def _begin(barrier: Barrier) -> None:
-    global _barrier
-    _barrier = barrier
-
-
-def _render(what: tuple[int, int]) -> float:
-    triangles, size = what
-    scene, lens = home(), camera(size)
-    renderer = Renderer(with_triangles(scene.mesh, triangles), scene.lighting)
+def _render(triangles: int, size: int, rounds: int) -> None:
+    scene, lens, renderer = home(), camera(size), renderer_with(triangles)
     places = [lens.to_world(pose, scene.floor_height) for pose in poses(scene, VIEWS)]
-    renderer.render(lens, places[0])
-    _barrier.wait()
-    start, done = perf_counter(), 0
-    while perf_counter() < start + SECONDS:
-        renderer.render(lens, places[done % VIEWS])
-        done += 1
-    return done / (perf_counter() - start)
+    for place in rounds * places:
+        renderer.render(lens, place)

@@ -10,8 +10,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample, pad
 
+from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
+from imagination.geometry.projection import Band
+
+VOXEL = 0.05
+"""Height of SemExp's voxels, metres."""
 
 
 class PaddedRegistration:
@@ -115,3 +120,22 @@ class SplattedMapping:
             index = torch.where(inside, cell, torch.zeros_like(cell)).long()
             flat.index_add_(1, index, (labels * (weight * inside)[:, None]).T)
         return flat.view(self.layers, *shape.tolist())
+
+
+def points_in_cells(depth: Tensor, lens: Camera, ego: EgoGrid) -> Tensor:
+    """Row, column and height of each pixel's return (N, 3), in cells of the egocentric grid and voxels of 5 cm."""
+    centre_u, centre_v = lens.principal_point
+    right = (torch.arange(lens.width) + 0.5 - centre_u) / lens.focal_length * depth
+    down = (torch.arange(lens.height)[:, None] + 0.5 - centre_v) / lens.focal_length * depth
+    to_robot = torch.from_numpy(lens.to_robot()).float()
+    robot = torch.stack([right, down, depth], dim=-1).view(-1, 3) @ to_robot[:3, :3].T + to_robot[:3, 3]
+    forward, left, up = robot.unbind(dim=1)
+    row, column = ego.cells - 1 - forward / ego.resolution, ego.cells // 2 - left / ego.resolution
+    return torch.stack([row, column, up / VOXEL], dim=1)
+
+
+def categories_of(points: Tensor, depth: Tensor, labels: Tensor, layers: int, room: Band) -> Tensor:
+    """Categories of the returns between floor and ceiling, one column each; `points` as `points_in_cells` gives."""
+    height = points[:, 2] * VOXEL
+    counts = (depth.view(-1) > 0) & (height >= room.low) & (height <= room.high)
+    return ((labels.view(-1, 1) == torch.arange(1, layers + 1)) & counts[:, None]).float()

@@ -46,39 +46,45 @@ SIDE = 2048
 """Of the matrices multiplied."""
 
 OPERATORS: dict[str, list[tuple[str, float]]] = {}
-"""Share of the default unit's step that each operator takes, in each precision that misses its target; filled in by
-`run`."""
+"""Share of the default unit's step that each operator takes, in each precision; filled in by `run`."""
 
 
 def run(folder: str) -> list[Figure]:
     """All figures."""
-    drawn = {layers: batches(folder, layers)() for layers in (1, 3)}
-    kinds = ["32-true"] + (["bf16-mixed"] if resolved("auto") == "bf16-mixed" else [])
-    figures = []
+    figures, speeds = [], {}
     for name, choice in UNITS.items():
-        batch = drawn[1 if choice[0] == "chair_unet" else 3]
-        for kind in kinds:
-            default = choice == DEFAULT
-            step, flops = training_step(folder, choice, kind, batch)
-            times = medians({"step": step, "product": product(kind)}, 10.0 if default else 5.0, 3)
-            limit = 2 * SIDE**3 / times["product"] / 1e9
-            what = f"training step, {name}, {kind}, batch {len(batch['rgb'])}"
-            reached = Figure(
-                f"{what}: {len(batch['rgb']) / times['step']:.0f} samples/s",
+        step, speeds[name] = steps(folder, name, choice)
+        figures += step
+    for name, choice in UNITS.items():  # last, as a training sets much in its process
+        figures += rounds(folder, name, choice, speeds[name], 9 if choice == DEFAULT else 4)
+    return figures
+
+
+def steps(folder: str, name: str, choice: tuple[str, Sequence[str]]) -> tuple[list[Figure], float]:
+    """A unit's training step alone in each precision; the samples a second of the one that `auto` is here."""
+    default, figures = choice == DEFAULT, []
+    batch = batches(folder, 1 if choice[0] == "chair_unet" else 3)()
+    size = len(batch["rgb"])
+    for kind in dict.fromkeys(("32-true", resolved("auto"))):
+        step, flops = training_step(folder, choice, kind, batch)
+        times = medians({"step": step, "product": product(kind)}, 10.0 if default else 5.0, 3)
+        figures.append(
+            Figure(
+                f"training step, {name}, {kind}, batch {size}, {flops / size / 1e9:.2f} GFLOP a sample: "
+                f"{size / times['step']:.0f} samples/s",
                 flops / times["step"] / 1e9,
                 "GFLOP/s",
-                limit,
+                2 * SIDE**3 / times["product"] / 1e9,
                 f"matrix product of {SIDE}², same type",
                 SHARES[kind] if default else None,
                 of_limit=True,
-                note=f"{flops / len(batch['rgb']) / 1e9:.2f} GFLOP a sample",
             )
-            figures.append(reached)
-            if reached.met is False:
-                OPERATORS[kind] = operators(step)
-            if default and kind == kinds[-1]:
-                figures += engineering(folder, kind, batch, step)
-    return figures + rounds(folder)
+        )
+        if default:
+            OPERATORS[kind] = operators(step)
+    if default:
+        figures += engineering(folder, kind, batch, step)
+    return figures, size / times["step"]
 
 
 class Clock(Callback):
@@ -93,17 +99,29 @@ class Clock(Callback):
         self.waiting.append(float(trainer.callback_metrics["train/waiting"]))
 
 
-def rounds(folder: str, count: int = 9) -> list[Figure]:
-    """The training itself, of the default unit at desk scale: its workers render on the cores that it trains on."""
-    run = config(
-        folder,
+def rounds(
+    folder: str, name: str, choice: tuple[str, Sequence[str]], speed: float, count: int
+) -> list[Figure]:
+    """The training itself at desk scale: its workers render on the cores that it trains on.
+
+    Args:
+        folder: of the cache.
+        name, choice: the unit.
+        speed: samples a second of its step alone.
+        count: rounds; the first warms up and the last one is validated, neither is counted.
+    """
+    experiment, overrides = choice
+    sizes = (
         f"scale.rounds={count}",
         "scale.homes={train:16,val:2,test:2}",
         "scale.prefill_steps=20",
         "scale.held_out_views={val:16,test:16}",
         "scale.eval_every=1000",
     )
-    run.paths.run = f"{folder}/rounds"
+    # with poses of its own: the cache would have those that another unit looked from
+    seed = f"seed={list(UNITS).index(name)}"
+    run = config(folder, *overrides, *sizes, seed, experiment=experiment)
+    run.paths.run = f"{folder}/rounds_{seed}"
     model, data, trainer = build(Run(Path(run.paths.run), run, None))
     clock = Clock()
     trainer.callbacks.append(clock)
@@ -112,17 +130,23 @@ def rounds(folder: str, count: int = 9) -> list[Figure]:
         trainer.fit(model, datamodule=data)
     finally:
         data.close()
-    samples = run.scale.update_batches * run.scale.batch_size
-    # the first rounds warm up, the last one is validated
-    seconds, kind = median(np.diff(clock.ends)[1:-1].tolist()), resolved("auto")
-    note = f"{count} rounds of {samples} samples, {run.scale.workers} processes render meanwhile"
+    samples, kind = run.scale.update_batches * run.scale.batch_size, resolved("auto")
+    what = f"training, {name}, {kind}"
     return [
-        Figure(f"training, default unit, {kind}: whole rounds", samples / seconds, "samples/s", note=note),
         Figure(
-            f"training, default unit, {kind}: share of a round that waits for data",
-            median(clock.waiting[2:-1]),
+            f"{what}: whole rounds",
+            samples / median(np.diff(clock.ends)[:-1].tolist()),
+            "samples/s",
+            speed,
+            "its step alone",
+            note=f"{count - 2} rounds of {samples} samples after a first one, {run.scale.workers} processes render "
+            "meanwhile; the step alone was measured before",
+        ),
+        Figure(
+            f"{what}: share of a round that waits for data",
+            median(clock.waiting[1:-1]),
             "of the time",
-            target=0.05,
+            target=0.05 if choice == DEFAULT else None,
             at_most=True,
             note="for its collection, and for its batches, which are drawn and assembled between steps",
         ),
@@ -221,7 +245,7 @@ def product(kind: str) -> Callable[[], object]:
     return lambda: one @ other
 
 
-def operators(step: Callable[[], None], most: int = 12) -> list[tuple[str, float]]:
+def operators(step: Callable[[], None], most: int = 8) -> list[tuple[str, float]]:
     """Share of a step's time by operator, longest first."""
     with profile(activities=[ProfilerActivity.CPU]) as recorded:
         for _ in range(3):

@@ -6,14 +6,23 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 
 from benchmarks import __main__ as command
 from benchmarks import buffer, maps, scaling, startup
 from benchmarks.measure import Figure, unmeasured
-from benchmarks.scaling import Costs, Results, divisible, exchange, first_saturated, predicted
+from benchmarks.scaling import Costs, Results, exchange, first_saturated, predicted, sizes
+from benchmarks.subjects import config
+from benchmarks.training import UNITS
+from imagination.mapping.mapper import Mapper
+from imagination.mapping.registration import MovingAverage
+from imagination.train import check_shares
 
 COSTS = Costs(1.0, 100.0, 0.9, 10e3, 1000.0, 100.0, 1.0, 50e6)
 
@@ -40,7 +49,27 @@ def test_sections_join_those_that_are_there(tmp_path: Path) -> None:
     assert "| start-up | 2 s |" in page and "| truth | 3 s |" in page and "5 s" not in page
     first, _, truth = page.partition("## Truth")
     assert "2026-01-01" in first and "2026-01-02" in truth and "2026-01-01" not in truth
-    assert "2.0 minutes in all" in first
+    assert "took 2.0 minutes together" in first
+
+
+def test_each_section_tells_what_it_alone_was_made_with(tmp_path: Path) -> None:
+    figure = Figure("a", 1.0, "s", note="a note")
+    command.write(tmp_path, "startup", result(figure))
+    command.write(tmp_path, "maps", result(figure, replace(figure, what="b"), command="another command"))
+    operators = {"bf16-mixed": [("aten::convolution", 0.5)]}
+    command.write(tmp_path, "training", result(figure, operators=operators, minutes=3.0))
+    page = (tmp_path / "results.md").read_text()
+    head, startup, maps, training = page.split("## ")
+    assert "a machine" in head and "seed 0" in head and "5.0 minutes together" in head
+    assert "command" not in head and page.count("a machine") == 1
+    assert "by `python -m benchmarks`" in startup and "by `another command`" in maps
+    assert "3.0 minutes" in training and "- a and 1 like it: a note." in maps
+    assert "bf16-mixed, profiled: 50% `aten::convolution`" in training
+    command.write(tmp_path, "maps", result(figure))
+    page = (tmp_path / "results.md").read_text()
+    assert (
+        page.count("by `python -m benchmarks`") == 1 and "by `python -m benchmarks`" in page.split("## ")[0]
+    )
 
 
 def test_what_is_not_measured_is_told(
@@ -73,12 +102,24 @@ def test_a_figure_without_a_value_meets_nothing() -> None:
     assert figure.met is None and figure.ratio is None
 
 
-@pytest.mark.parametrize("machines", [1, 2, 3, 10, 16, 100])
-def test_machines_divide_what_they_share(machines: int) -> None:
-    sizes = divisible(machines)
-    assert set(sizes) == set(scaling.SHARED) and not any(size % machines for size in sizes.values())
-    assert all(size >= scaling.DESK[name] for name, size in sizes.items())
-    assert sizes["batch_size"] == machines * scaling.BATCH
+@pytest.mark.parametrize("machines", [1, 2, 3, *scaling.MACHINES[2:]])
+def test_machines_train_on_each_view_as_often_as_one(machines: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What each process collects and draws with a row's sizes, counted; they are shares that `train` accepts."""
+    monkeypatch.setattr(HydraConfig, "get", lambda: SimpleNamespace(mode=RunMode.RUN))
+    overrides = [f"scale.{name}={size}" for name, size in sizes(machines).items()]
+    run = config("unused", *overrides, "scale.homes.train=1000", f"trainer.num_nodes={machines}")
+    check_shares(run)
+    collected = sum(
+        run.scale.parallel_scenes // machines * run.scale.update_interval for _ in range(machines)
+    )
+    drawn = sum(run.scale.batch_size // machines * run.scale.update_batches for _ in range(machines))
+    assert drawn / collected == scaling.DRAWS
+    assert run.scale.rounds * collected == pytest.approx(scaling.VIEWS, rel=1e-3)
+    # as many steps as the hours are made of, of as many views in each machine
+    assert run.scale.rounds * run.scale.update_batches == pytest.approx(
+        replace(COSTS, draws=scaling.DRAWS).steps(machines), rel=1e-3
+    )
+    assert run.scale.batch_size == machines * scaling.BATCH
 
 
 def test_a_ring_moves_nearly_twice_the_gradients() -> None:
@@ -88,11 +129,13 @@ def test_a_ring_moves_nearly_twice_the_gradients() -> None:
 
 
 def test_what_saturates_first_comes_from_the_numbers() -> None:
-    """A step computes 0.16 s; 50 MB over 125 MB/s take 0.4 s with two machines, 160 kB 1.28 ms from the storage."""
-    assert first_saturated(COSTS.step) == "the network between machines, from 2 machines on"
-    light = replace(COSTS, gradients=1e6)
-    assert first_saturated(light.step) == "the storage, from 126 machines on"
-    assert first_saturated(replace(light, size=1.0).step).startswith("nothing")
+    """A step computes 0.16 s and then exchanges 50 MB at 125 MB/s: 0.8 s with many machines, each of which asks the
+    storage for 160 kB, 1.28 ms; without an exchange it computes alone."""
+    assert first_saturated(COSTS.step) == "the storage, from 750 machines on"
+    assert first_saturated(replace(COSTS, gradients=0.0).step) == "the storage, from 126 machines on"
+    assert first_saturated(replace(COSTS, size=1.0).step) == (
+        "nothing before computing and exchanging, up to 10,000 machines"
+    )
     assert (
         first_saturated(replace(COSTS, reading=10.0).step)
         == "the thread that reads shards, from 1 machine on"
@@ -107,8 +150,10 @@ def test_time_is_that_of_the_busiest() -> None:
     # each view 8 times: as many more steps, none of which reads as much
     assert replace(COSTS, draws=8.0).epoch(1) == pytest.approx(8 * scaling.VIEWS / 100)
     assert replace(COSTS, draws=8.0, reading=10.0).epoch(1) == pytest.approx(scaling.VIEWS / 10)
-    light = replace(COSTS, gradients=1e6, draws=8.0)
-    assert first_saturated(light.step) == "the storage, from 1001 machines on"
+    alone = replace(COSTS, gradients=0.0, draws=8.0)
+    assert first_saturated(alone.step) == "the storage, from 1001 machines on"
+    # with more machines reading takes longer than computing and exchanging, and no longer falls
+    assert COSTS.epoch(749) > COSTS.epoch(750) == pytest.approx(COSTS.epoch(10_000), rel=1e-3)
 
 
 def test_the_page_tells_predicted_beside_measured() -> None:
@@ -119,9 +164,10 @@ def test_the_page_tells_predicted_beside_measured() -> None:
             Figure("views written by 2 processes", 180.0, "views/s"),
             Figure("size of a view", 10.0, "kB"),
             Figure("views read by 1 process, chunks in the page cache", 1000.0, "views/s"),
+            Figure("views read by 2 processes, chunks in the page cache", 1600.0, "views/s"),
         ],
         "training": [
-            Figure("training, default unit, bf16-mixed: whole rounds", 100.0, "samples/s"),
+            Figure("training, unit, resnet18, unet (default), bf16-mixed: whole rounds", 100.0, "samples/s"),
         ],
         "distributed": [
             Figure(
@@ -140,11 +186,26 @@ def test_the_page_tells_predicted_beside_measured() -> None:
     }
     page = predicted(Results({"sections": {name: result(*figures) for name, figures in results.items()}}))
     assert "| views written | 100.0/s | 200.0/s | 180.0/s | 1.11 |" in page
+    assert "| views read | 1000.0/s | 2000.0/s | 1600.0/s | 1.25 |" in page
     # 16 views in 0.25 s, then 50 MB at 400 MB/s: 32 views in 0.375 s
     assert "| 64.0/s | 85.3/s | 80.0/s | 1.07 |" in page
-    assert "`scale.batch_size=160 scale.parallel_scenes=20 scale.buffer_size=12290`" in page
+    row = "`scale.batch_size=160 scale.parallel_scenes=160 scale.buffer_size=122880 scale.rounds=12500`"
+    assert row in page and f"each view {scaling.DRAWS:g} times" in page
+    assert scaling.UNIT in UNITS
+    del results["shards"][-1]
     with pytest.raises(SystemExit, match="python -m benchmarks shards"):
-        predicted(Results({"sections": {}}))
+        predicted(Results({"sections": {name: result(*figures) for name, figures in results.items()}}))
+
+
+@pytest.mark.parametrize("cells", [1001, 8001])
+def test_views_are_spread_over_the_map_and_lie_inside(cells: int) -> None:
+    """So that a large map's registration touches as much memory as it has."""
+    values, _ = maps.statement()
+    mapper = Mapper(maps.grid_of(cells), maps.EGO, maps.NAMES, MovingAverage(0.9))
+    places = maps.places(64, cells)
+    assert not any(mapper.outside(np.ones_like(values, bool), pose) for pose in places)
+    side = cells * maps.RESOLUTION - 2 * 5.9  # a view's corners are 5.84 m away
+    assert min(np.ptp([pose.x for pose in places]), np.ptp([pose.y for pose in places])) > 0.9 * side
 
 
 def test_the_ways_of_others_give_our_maps() -> None:
