@@ -25,6 +25,11 @@ def rank() -> int:
     return int(os.environ.get("RANK", os.environ.get("LOCAL_RANK", 0)))
 
 
+def started_by_torchrun() -> bool:
+    """Whether torchrun started this process; else it is the only one, or Lightning starts the others."""
+    return "TORCHELASTIC_RUN_ID" in os.environ
+
+
 def ranks() -> int:
     """How many processes train together; 1 before they have met."""
     from torch import distributed
@@ -49,7 +54,7 @@ def begun_elsewhere(items: list[T]) -> list[T]:
 
 def agree(folder: Path | None = None) -> Path:
     """The run's folder: the first process names it, the others learn it and wait until then."""
-    if "TORCHELASTIC_RUN_ID" in os.environ:  # torchrun, whose agent keeps a store for all
+    if started_by_torchrun():  # its agent keeps a store for all
         from torch.distributed.rendezvous import rendezvous
 
         store, _, _ = next(iter(rendezvous("env://")))

@@ -27,6 +27,7 @@ log = logging.getLogger(__name__)
 
 MAY_CHANGE = (
     *("trainer.max_epochs", "trainer.accelerator", "trainer.devices", "trainer.num_nodes", "paths."),
+    "data.shards",  # a corpus may move; that it is of the same kind is checked when it is read
 )
 """What may be overridden when a run goes on; all else is the run's own, and may only be said again."""
 
@@ -77,7 +78,7 @@ def opened(config: DictConfig) -> Iterator[Run]:
             yield run
         except Exception as error:
             if lost_another(error):
-                raise _alone(run.folder) from error
+                raise lost(run.folder) from error
             raise
         return
     folder = _existing(config) if again else _new(config)
@@ -93,7 +94,7 @@ def opened(config: DictConfig) -> Iterator[Run]:
         except Exception as error:
             log.error("The run failed", exc_info=True, extra=runs.FILE_ONLY)
             if "torch" in sys.modules and lost_another(error):
-                raise _alone(folder) from error
+                raise lost(folder) from error
             if explain(error) and not (folder / runs.LAST).is_file():  # refused: nothing to go on with
                 runs.take_back_latest(folder, run.before)
             raise
@@ -124,10 +125,13 @@ def _joined(config: DictConfig) -> Run:
     return Run(folder, config, None)
 
 
-def _alone(folder: Path) -> UserError:
+def lost(folder: Path) -> UserError:
+    """What to tell when another of several processes is gone."""
+    last = folder / runs.LAST
+    again = f"go on with the same command and ckpt_path={last}"
     return UserError(
-        "training: another of the processes that train together is gone, so the job stops; go on with the same "
-        f"command and ckpt_path={folder / runs.LAST}"
+        "training: another of the processes that train together is gone, so the job stops; "
+        + (again if last.is_file() else "no round was finished, so start the same command again")
     )
 
 

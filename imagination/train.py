@@ -11,18 +11,20 @@ from typing import TYPE_CHECKING
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from imagination import runs
 from imagination.config import command
 from imagination.errors import UserError
 from imagination.precision import resolved
 from imagination.progress import stage
+from imagination.ranks import rank, started_by_torchrun
 from imagination.resume import Run, opened
 from imagination.summary import record_hyperparameters, single_views, summary
 
 if TYPE_CHECKING:  # torch and lightning take seconds to import: --help does without
     from lightning import LightningModule, Trainer
+    from lightning.fabric.plugins.environments.cluster_environment import ClusterEnvironment
     from lightning.pytorch.strategies import Strategy
 
     from imagination.data.datamodule import SceneData
@@ -85,7 +87,7 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
         precision=resolved(config.trainer.precision),
         callbacks=callbacks,
         logger=instantiate(config.logger),
-        plugins=[CheckpointFiles()],
+        plugins=[CheckpointFiles(), environment()],
     )
     return model, data, trainer
 
@@ -94,21 +96,25 @@ def check_shares(config: DictConfig) -> None:
     """Check that the work can be shared out among the processes that train together.
 
     Raises:
-        UserError: if a size is not a multiple of their number, or a sweep or srun would start them.
+        UserError: if a size is not a multiple of their number, some would have nothing to do, or a sweep or srun would
+            start them.
     """
     count = config.trainer.devices * config.trainer.num_nodes
+    tasks = int(
+        os.environ.get("SLURM_STEP_NUM_TASKS", 1)
+    )  # of an srun; a batch script, which runs once, has none
+    if tasks > 1 and not started_by_torchrun():
+        raise UserError(
+            f"srun: got {tasks} tasks, which would train apart from each other; expected one (--ntasks=1), or "
+            "torchrun as one task a host, which starts those that train together: srun --ntasks-per-node=1 torchrun … "
+            "(see docs/scaling.md)"
+        )
     if count == 1:
         return
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         raise UserError(
             f"trainer.devices: got {count} processes in a sweep, whose members train on one device each; start each "
             "member by itself, or sweep with trainer.devices=1"
-        )
-    if "TORCHELASTIC_RUN_ID" not in os.environ and int(os.environ.get("SLURM_NTASKS", 1)) > 1:
-        raise UserError(
-            f"trainer.devices: got {count} processes in a SLURM job of {os.environ['SLURM_NTASKS']} tasks, expected "
-            "torchrun as one task a host, which starts the others: srun --ntasks-per-node=1 torchrun … (see "
-            "docs/scaling.md)"
         )
     sizes = {name: config.scale[name] for name in ("parallel_scenes", "batch_size", "buffer_size")}
     for name, size in sizes.items():
@@ -117,10 +123,10 @@ def check_shares(config: DictConfig) -> None:
                 f"scale.{name}: got {size} for {count} processes, expected a multiple of {count}; change it or "
                 "trainer.devices"
             )
-    if config.scale.homes.train < count:
-        raise UserError(
-            f"scale.homes.train: got {config.scale.homes.train} for {count} processes, expected a home for each"
-        )
+    least = {"homes.train": "home", "held_out_views.val": "view", "held_out_views.test": "view"}
+    for name, kind in least.items():
+        if (got := OmegaConf.select(config.scale, name)) < count:
+            raise UserError(f"scale.{name}: got {got} for {count} processes, expected a {kind} for each")
 
 
 def strategy(processes: int) -> Strategy | str:
@@ -128,6 +134,19 @@ def strategy(processes: int) -> Strategy | str:
     from lightning.pytorch.strategies import DDPStrategy
 
     return DDPStrategy(timeout=timedelta(days=1)) if processes > 1 else "auto"
+
+
+def environment() -> ClusterEnvironment:
+    """Who started the processes: torchrun or Lightning itself.
+
+    Told, since Lightning would take any process in a SLURM allocation for one of several and let the first alone log.
+    """
+    from lightning.fabric.plugins.environments.lightning import LightningEnvironment
+    from lightning.fabric.plugins.environments.torchelastic import TorchElasticEnvironment
+
+    chosen = TorchElasticEnvironment() if started_by_torchrun() else LightningEnvironment()
+    chosen.set_global_rank(rank())  # until then who logs goes by SLURM_PROCID
+    return chosen
 
 
 def quiet_lightning() -> None:
@@ -138,6 +157,8 @@ def quiet_lightning() -> None:
     warnings.filterwarnings(
         "ignore", message="Checkpoint directory .* exists and is not empty"
     )  # as it should on resume
+    # it is not to be used: see check_shares
+    warnings.filterwarnings("ignore", message="The `srun` command is available")
     # batches are ready-made
     warnings.filterwarnings("ignore", message=".*does not have many workers")
     warnings.filterwarnings("ignore", message=".*sync_dist=True.*")  # these values are the same on all ranks

@@ -10,11 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from lightning import Trainer
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator, ScalarEvent
 
-from imagination import ranks
+from imagination import ranks, runs
+from imagination.checkpoints import Checkpoint, read_state
 from imagination.data.datamodule import SceneData
 from imagination.data.replay_buffer import ReplayBuffer
+from imagination.resume import lost
+from imagination.train import environment
 from imagination.views.collector import Views, concatenate
 from tests.conftest import ROOT, Command
 from tests.data.test_collecting import data, same
@@ -47,14 +52,11 @@ def test_each_process_has_scenes_of_its_own(tmp_path: Path, monkeypatch: pytest.
 def test_held_out_views_are_shared_out_without_repetition(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    alone = list(data(tmp_path).val_dataloader())  # 5 views and 2
-    parts = []
-    for number in (0, 1):
-        as_rank(number, 2, monkeypatch)
-        parts.append(list(data(tmp_path).val_dataloader()))
-    for whole, one, other in zip(alone, *parts, strict=True):
-        assert torch.equal(whole["depth"][0::2], one["depth"])
-        assert torch.equal(whole["depth"][1::2], other["depth"])
+    alone = list(data(tmp_path).val_dataloader())  # 7 views in batches of 3 or more
+    for number in (0, 1, 2):
+        as_rank(number, 3, monkeypatch)
+        for whole, part in zip(alone, data(tmp_path).val_dataloader(), strict=True):
+            assert len(part["depth"]) and torch.equal(whole["depth"][number::3], part["depth"])
 
 
 def test_one_process_collects_as_before(tmp_path: Path) -> None:
@@ -73,6 +75,7 @@ def test_one_process_collects_as_before(tmp_path: Path) -> None:
     [
         (["scale.batch_size=5"], "scale.batch_size: got 5 for 2 processes, expected a multiple of 2"),
         (["scale.homes.train=1"], "scale.homes.train: got 1 for 2 processes"),
+        (["scale.held_out_views.val=1"], "scale.held_out_views.val: got 1 for 2 processes"),
         (["seed=1,2", "--multirun"], "trainer.devices: got 2 processes in a sweep"),
     ],
 )
@@ -81,11 +84,51 @@ def test_what_cannot_be_shared_is_refused(command: Command, overrides: list[str]
     assert done.returncode != 0 and told in done.stderr and "Traceback" not in done.stderr, done.stderr
 
 
-def test_several_processes_of_srun_are_refused(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def in_slurm(monkeypatch: pytest.MonkeyPatch, **variables: int) -> None:
+    for name, number in {"JOB_ID": 7, **variables}.items():
+        monkeypatch.setenv(f"SLURM_{name}", str(number))
+
+
+@pytest.mark.parametrize("job", [JOB, TWO])
+def test_several_tasks_of_srun_are_refused(
+    command: Command, monkeypatch: pytest.MonkeyPatch, job: list[str]
+) -> None:
     """They would train apart from each other."""
-    monkeypatch.setenv("SLURM_NTASKS", "2")
-    done = command("train", *TWO)
-    assert done.returncode == 2 and "expected torchrun as one task a host" in done.stderr
+    in_slurm(monkeypatch, NTASKS=4, STEP_NUM_TASKS=4, PROCID=2, LOCALID=2, NODEID=0)
+    done = command("train", *job)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "srun: got 4 tasks, which would train apart from each other; expected one" in done.stderr
+
+
+@pytest.mark.parametrize("devices", [1, 2])
+def test_a_process_in_a_slurm_job_is_the_first(monkeypatch: pytest.MonkeyPatch, devices: int) -> None:
+    """Whatever its number among the tasks, such as those that run Ray: else it would log nothing."""
+    in_slurm(monkeypatch, NTASKS=4, PROCID=3, LOCALID=3, NODEID=1)
+    monkeypatch.setattr(rank_zero_only, "rank", 3)  # what Lightning gets out of these
+    trainer = Trainer(accelerator="cpu", devices=devices, logger=False, plugins=[environment()])
+    assert trainer.is_global_zero and trainer.world_size == devices and rank_zero_only.rank == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "place", [{"NTASKS": 4, "PROCID": 0}, {"NTASKS": 2, "NTASKS_PER_NODE": 1, "PROCID": 1}]
+)
+def test_one_process_in_a_slurm_job_trains(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: dict[str, int]
+) -> None:
+    """A batch script, which runs once whatever number of tasks it may start; and what another task has started."""
+    in_slurm(monkeypatch, **place, LOCALID=0, NODEID=place["PROCID"])
+    done = command("train", *JOB, timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert scalars(tmp_path / "outputs" / "chair_unet" / "latest", "test/loss")
+
+
+def test_a_checkpoint_is_named_if_there_is_one(tmp_path: Path) -> None:
+    assert "no round was finished, so start the same command again" in str(lost(tmp_path))
+    last = tmp_path / runs.LAST
+    last.parent.mkdir()
+    last.touch()
+    assert f"go on with the same command and ckpt_path={last}" in str(lost(tmp_path))
 
 
 def events(folder: Path, tag: str) -> list[ScalarEvent]:
@@ -101,7 +144,8 @@ def scalars(folder: Path, tag: str) -> list[float]:
 @pytest.mark.slow
 def test_scores_are_those_of_one_process(command: Command, tmp_path: Path) -> None:
     """Two processes train and are tested; one process then tests the same checkpoint: the same tables and loss."""
-    done = command("train", *TWO, "scale.held_out_views.test=11", timeout=1200)
+    views = "scale.held_out_views={val: 9, test: 9}"  # of which a batch takes 4: one is left over
+    done = command("train", *TWO, views, timeout=1200)
     assert done.returncode == 0, done.stderr
     folders = [path for path in (tmp_path / "outputs" / "chair_unet").iterdir() if not path.is_symlink()]
     assert len(folders) == 1
@@ -145,8 +189,6 @@ def test_a_process_that_dies_stops_the_job_and_it_goes_on(
     text = (tmp_path / "told").read_text()
     assert "another of the processes that train together is gone" in text, text
     assert f"ckpt_path={last.relative_to(tmp_path).parts[0]}" in text
-    from imagination.checkpoints import Checkpoint, read_state
-
     rounds = read_state(last)["epoch"] + 1
     before = Checkpoint.read(last).record["samples"]
     done = command("train", *TWO, *long, "resume=latest", f"trainer.max_epochs={rounds + 1}", timeout=1200)

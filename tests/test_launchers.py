@@ -6,12 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from hydra._internal.callbacks import Callbacks
 from hydra.types import HydraContext
 from omegaconf import DictConfig, OmegaConf
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from imagination import errors
 from imagination.errors import UserError
@@ -29,15 +31,75 @@ def tables(outputs: Path) -> dict[str, bytes]:
     return found
 
 
+def weights(outputs: Path) -> dict[str, dict[str, bytes]]:
+    """What each member has learned, which shows the smallest difference."""
+    from imagination.checkpoints import read_state
+
+    found = {
+        path.parts[-3]: read_state(path) for path in outputs.glob("*/multirun_*/*/checkpoints/last.ckpt")
+    }
+    return {
+        member: {name: value.numpy().tobytes() for name, value in state["state_dict"].items()}
+        for member, state in found.items()
+    }
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("launcher", ["ray", "joblib"])
-def test_the_results_are_the_same_as_without(command: Command, tmp_path: Path, launcher: str) -> None:
+@pytest.mark.parametrize(("launcher", "threads"), [("ray", "2"), ("joblib", "1")])
+def test_the_results_are_the_same_as_without(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, launcher: str, threads: str
+) -> None:
+    """With as many threads as a member gets: hydra.launcher.num_cpus with Ray, a core's share with joblib."""
     pytest.importorskip(launcher)
-    for outputs, choice in (("alone", []), ("spread", [f"hydra/launcher={launcher}"])):
-        done = command(*SWEEP, *choice, f"paths.outputs={tmp_path / outputs}", timeout=900)
-        assert done.returncode == 0, done.stderr
-    alone, spread = tables(tmp_path / "alone"), tables(tmp_path / "spread")
-    assert alone == spread and {name.split("/")[0] for name in alone} == {"0", "1"}
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    done = command(*SWEEP, f"paths.outputs={tmp_path / 'alone'}", timeout=900)
+    assert done.returncode == 0, done.stderr
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # another cluster, which was not asked for
+    spread = f"hydra/launcher={launcher}", f"paths.outputs={tmp_path / 'spread'}"
+    done = command(*SWEEP, *spread, timeout=900)
+    assert done.returncode == 0, done.stderr
+    assert tables(tmp_path / "alone") == tables(tmp_path / "spread")
+    learned = weights(tmp_path / "alone")
+    assert learned == weights(tmp_path / "spread") and set(learned) == {"0", "1"}
+
+
+@pytest.mark.slow
+def test_a_cluster_of_two_hosts_shares_the_members(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A member fills a host, which has one core. They are in a SLURM allocation, where srun started Ray."""
+    pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    done = command(*SWEEP, f"paths.outputs={tmp_path / 'alone'}", timeout=900)
+    assert done.returncode == 0, done.stderr
+    for name, number in {"NTASKS": 2, "NTASKS_PER_NODE": 1, "STEP_NUM_TASKS": 2, "PROCID": 1}.items():
+        monkeypatch.setenv(f"SLURM_{name}", str(number))
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    try:
+        cluster.add_node(num_cpus=1)
+        hosts = [node.all_processes["raylet"][0].process.pid for node in cluster.list_all_nodes()]
+        monkeypatch.delenv("SLURM_STEP_NUM_TASKS")  # the sweep is started by the allocation's script
+        monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+        on_ray = "hydra/launcher=ray", "hydra.launcher.address=auto", "hydra.launcher.num_cpus=1"
+        spread = *on_ray, f"paths.outputs={tmp_path / 'spread'}"
+        with ThreadPoolExecutor(1) as pool:
+            sweep = pool.submit(command, *SWEEP, *spread, timeout=900)
+            used = set()
+            while not sweep.done():
+                used |= {host for host in hosts if workers(host)}
+                time.sleep(0.2)
+        assert sweep.result().returncode == 0, sweep.result().stderr
+    finally:
+        cluster.shutdown()
+    assert used == set(hosts) and len(used) == 2
+    assert tables(tmp_path / "alone") == tables(tmp_path / "spread")
+    learned = weights(tmp_path / "alone")
+    assert learned == weights(tmp_path / "spread") and set(learned) == {"0", "1"}
+    logs = [EventAccumulator(str(path)).Reload() for path in tmp_path.glob("spread/*/*/*/tensorboard")]
+    assert [log.Tags()["scalars"].count("test/loss") for log in logs] == [1, 1]
+    assert not [host for host in hosts if Path(f"/proc/{host}").exists()]
 
 
 @pytest.mark.slow
@@ -94,7 +156,7 @@ def test_a_member_that_is_lost_stops_no_other(tmp_path: Path, monkeypatch: pytes
             raise ValueError(f"no config for {overrides}")
 
     config = OmegaConf.create({"hydra": {"sweep": {"dir": "the_sweep"}}})
-    launcher = RayLauncher(None, num_cpus=0.1, num_gpus=0, max_retries=0)
+    launcher = RayLauncher("local", num_cpus=0.1, num_gpus=0, max_retries=0)
     context = HydraContext(Composer(), Callbacks())  # type: ignore[arg-type]
     launcher.setup(hydra_context=context, task_function=print, config=config)
     told = r"3 of 3 members failed: 0 \(killed\), 1 \(refused\), 2 \(late\);.*sweep_dir=the_sweep"
@@ -106,7 +168,6 @@ def test_a_member_that_is_lost_stops_no_other(tmp_path: Path, monkeypatch: pytes
 @pytest.mark.slow
 def test_parts_of_a_corpus_are_rendered_on_ray(command: Command, tmp_path: Path) -> None:
     pytest.importorskip("ray")
-    pytest.importorskip("litdata")
     words = ["scale=test", "scale.homes.train=3", "views=8"]
     spread = ["-m", "parts=2", "part=0,1", "hydra/launcher=ray"]
     for folder, choice in (("alone", []), ("spread", spread)):
@@ -165,4 +226,4 @@ def test_without_ray_the_command_is_named(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(errors, "find_spec", lambda name: None)
     with pytest.raises(UserError, match=r"pip install 'imagination\[ray\]'"):
-        RayLauncher(None, 1, 0, 3).launch([["seed=1"]], 0)
+        RayLauncher("local", 1, 0, 3).launch([["seed=1"]], 0)

@@ -174,6 +174,20 @@ def test_a_run_goes_on_with_its_own_config_only(command: Command, tmp_path: Path
         assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
 
 
+@pytest.mark.slow
+def test_a_run_goes_on_with_a_corpus_that_was_moved(command: Command, tmp_path: Path) -> None:
+    pytest.importorskip("litdata")
+    assert command("render", "scale=test", "views=8", "+shards=before").returncode == 0
+    job = [*JOB, "data=shards"]
+    done = command("train", *job, "data.shards=before", "trainer.max_epochs=1")
+    assert done.returncode == 0, done.stderr
+    (tmp_path / "before").rename(tmp_path / "after")
+    for place, code in (("before", 2), ("after", 0)):
+        done = command("train", *job, f"data.shards={place}", "resume=latest", "trainer.max_epochs=2")
+        assert done.returncode == code, done.stderr
+    assert read_state(tmp_path / "outputs" / "chair_unet" / "latest" / runs.LAST)["epoch"] == 1
+
+
 def test_the_best_checkpoint_is_known_after_a_move(tmp_path: Path) -> None:
     names = {"monitor": "val/iou", "filename": "best", "mode": "max"}
     here, there = (MovableCheckpoint(dirpath=tmp_path / folder, **names) for folder in ("here", "there"))  # type: ignore[arg-type]

@@ -34,7 +34,7 @@ class SceneData(LightningDataModule):
         neighbourhood: kernel epsilon, metres.
         seed: of the run.
         parallel_scenes: scenes looked at in one collection.
-        batch_size: views in a batch, of all processes that train together.
+        batch_size: views in a batch, of all processes that train together; in validation and test up to twice as many.
         held_out_views: number of views for validation and test.
         workers: processes that render; 0 renders in the main process.
         predicts: what batches are for: networks of egocentric "maps", or of first-person "images".
@@ -160,12 +160,11 @@ class SceneData(LightningDataModule):
         if split not in self._held_out:
             self._held_out[split] = self._look_at(split)
         views = self._held_out[split]
-        starts = range(0, len(views["pose"]), self.batch_size)
+        count = max(len(views["pose"]) // self.batch_size, 1)  # so that none is smaller than in training
+        parts = {name: np.array_split(values, count) for name, values in views.items()}
         batches = [  # of each batch, processes that train together take every so manieth view, none twice
-            self.assemble(
-                {name: v[at : at + self.batch_size][rank() :: ranks()] for name, v in views.items()}
-            )
-            for at in starts
+            self.assemble({name: part[place][rank() :: ranks()] for name, part in parts.items()})
+            for place in range(count)
         ]
         return DataLoader(batches, batch_size=None)  # type: ignore[arg-type]  # a list is a map-style data set
 

@@ -34,7 +34,7 @@ def observer(folder: Path, source: Rooms = Rooms()) -> Observer:  # noqa: B008  
 def data(folder: Path, workers: int = 0, seed: int = 1, source: Rooms = Rooms()) -> SceneData:  # noqa: B008
     held_out = {"val": 7, "test": 4}
     samplers = UniformPoses(), UniformPoses()
-    return SceneData(observer(folder, source), ["bed"], *samplers, 1.0, 0.62, seed, 4, 5, held_out, workers)  # type: ignore[arg-type]
+    return SceneData(observer(folder, source), ["bed"], *samplers, 1.0, 0.62, seed, 4, 3, held_out, workers)  # type: ignore[arg-type]
 
 
 def same(one: Views, other: Views) -> bool:
@@ -64,7 +64,7 @@ def test_each_scene_comes_once_before_any_comes_again(tmp_path: Path) -> None:
 
 def test_held_out_views_do_not_depend_on_the_runs_seed(tmp_path: Path) -> None:
     batches = [list(data(tmp_path / str(seed), seed=seed).val_dataloader()) for seed in (1, 2)]
-    assert [len(batch["rgb"]) for batch in batches[0]] == [5, 2]
+    assert [len(batch["rgb"]) for batch in batches[0]] == [4, 3]
     for one, other in zip(*batches, strict=True):
         assert all((one[name] == other[name]).all() for name in one)
 
@@ -72,8 +72,8 @@ def test_held_out_views_do_not_depend_on_the_runs_seed(tmp_path: Path) -> None:
 def test_a_batch_holds_what_a_unit_needs(tmp_path: Path) -> None:
     batch = next(iter(data(tmp_path).val_dataloader()))
     shapes = {name: tuple(value.shape) for name, value in batch.items()}
-    maps = {name: (5, 1, 43, 43) for name in ("occupied", "seen", "label", "neighbourhood")}
-    assert shapes == {"rgb": (5, 3, 32, 32), "depth": (5, 1, 32, 32), **maps}
+    maps = {name: (4, 1, 43, 43) for name in ("occupied", "seen", "label", "neighbourhood")}
+    assert shapes == {"rgb": (4, 3, 32, 32), "depth": (4, 1, 32, 32), **maps}
     whole = [batch for batch in data(tmp_path).val_dataloader()]
     assert sum(int(batch["label"].sum()) for batch in whole) > 0
 

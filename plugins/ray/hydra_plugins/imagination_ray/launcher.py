@@ -26,12 +26,12 @@ class RayLauncher(Launcher):
     """Runs the members of a sweep as Ray tasks.
 
     Args:
-        address: of a running cluster; None starts one on this machine, for as long as the sweep takes.
-        num_cpus, num_gpus: that a member reserves.
+        address: of a running cluster; "local" starts one on this machine, for as long as the sweep takes.
+        num_cpus, num_gpus: that a member reserves; Ray makes the former its number of threads.
         max_retries: of a member whose worker was killed.
     """
 
-    def __init__(self, address: str | None, num_cpus: float, num_gpus: float, max_retries: int) -> None:
+    def __init__(self, address: str, num_cpus: float, num_gpus: float, max_retries: int) -> None:
         self.address = address
         self.options: dict[str, Any] = {
             "num_cpus": num_cpus,
@@ -56,7 +56,7 @@ class RayLauncher(Launcher):
         setup_globals()
         started = not ray.is_initialized()
         if started:
-            ray.init(address=self.address, include_dashboard=None if self.address else False)
+            ray.init(address=self.address, include_dashboard=False if self.address == "local" else None)
         try:
             # a process for each member, so that none inherits another's state
             remote = ray.remote(max_calls=1, **self.options)(run_member)
@@ -86,6 +86,7 @@ def run_member(shared: Any, overrides: list[str], number: int) -> JobReturn:
     """Run one member in a Ray worker, as Hydra's own launchers do."""
     context, config, task, singletons, folder = shared
     os.chdir(folder)
+    os.environ.pop("SLURM_STEP_NUM_TASKS", None)  # of the srun that started Ray: members are not its tasks
     setup_globals()
     Singleton.set_state(singletons)
     member = context.config_loader.load_sweep_config(config, overrides)
