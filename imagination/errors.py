@@ -1,6 +1,6 @@
 """Errors that a user can act on: each names the value got, what is allowed and what to do."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 
 
@@ -10,6 +10,12 @@ class UserError(ValueError):
 
 class CannotWriteError(UserError):
     """A disk that is full, or a folder that may not be written: whatever else would be written fails as well."""
+
+
+def first_of(names: Sequence[str], most: int = 5) -> str:
+    """The first few names for a message, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def require_extra(package: str, extra: str) -> None:

@@ -96,18 +96,22 @@ def check_shares(config: DictConfig) -> None:
     """Check that the work can be shared out among the processes that train together.
 
     Raises:
-        UserError: if a size is not a multiple of their number, some would have nothing to do, or a sweep or srun would
-            start them.
+        UserError: if a size is not a multiple of their number, some would have nothing to do, or a sweep, srun or
+            nobody would start them.
     """
     count = config.trainer.devices * config.trainer.num_nodes
-    tasks = int(
-        os.environ.get("SLURM_STEP_NUM_TASKS", 1)
-    )  # of an srun; a batch script, which runs once, has none
+    # of an srun; a batch script, which runs once, has none
+    tasks = int(os.environ.get("SLURM_STEP_NUM_TASKS", 1))
     if tasks > 1 and not started_by_torchrun():
         raise UserError(
             f"srun: got {tasks} tasks, which would train apart from each other; expected one (--ntasks=1), or "
             "torchrun as one task a host, which starts those that train together: srun --ntasks-per-node=1 torchrun … "
             "(see docs/scaling.md)"
+        )
+    if config.trainer.num_nodes > 1 and not started_by_torchrun():
+        raise UserError(
+            f"trainer.num_nodes: got {config.trainer.num_nodes} without torchrun, which would wait for the others for "
+            "ever; expected 1, or torchrun on each host (see docs/scaling.md)"
         )
     if count == 1:
         return

@@ -107,7 +107,7 @@ def test_machines_train_on_each_view_as_often_as_one(machines: int, monkeypatch:
     """What each process collects and draws with a row's sizes, counted; they are shares that `train` accepts."""
     monkeypatch.setattr(HydraConfig, "get", lambda: SimpleNamespace(mode=RunMode.RUN))
     overrides = [f"scale.{name}={size}" for name, size in sizes(machines).items()]
-    run = config("unused", *overrides, "scale.homes.train=1000", f"trainer.num_nodes={machines}")
+    run = config("unused", *overrides, "scale.homes.train=1000", f"trainer.devices={machines}")
     check_shares(run)
     collected = sum(
         run.scale.parallel_scenes // machines * run.scale.update_interval for _ in range(machines)

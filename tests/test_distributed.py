@@ -100,6 +100,12 @@ def test_several_tasks_of_srun_are_refused(
     assert "srun: got 4 tasks, which would train apart from each other; expected one" in done.stderr
 
 
+def test_hosts_that_nobody_starts_are_refused(command: Command) -> None:
+    done = command("train", *JOB, "trainer.num_nodes=2")
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "trainer.num_nodes: got 2 without torchrun" in done.stderr
+
+
 @pytest.mark.parametrize("devices", [1, 2])
 def test_a_process_in_a_slurm_job_is_the_first(monkeypatch: pytest.MonkeyPatch, devices: int) -> None:
     """Whatever its number among the tasks, such as those that run Ray: else it would log nothing."""

@@ -24,7 +24,7 @@ from typing import IO, Any, NamedTuple
 from zlib import crc32
 
 from imagination.cache import code_version, encode
-from imagination.errors import CannotWriteError, UserError, check_range, require_extra
+from imagination.errors import CannotWriteError, UserError, check_range, first_of, require_extra
 from imagination.runs import remove_parts, replacing, write_text
 from imagination.views.collector import PoseSampler, Stream, look
 from imagination.views.pool import ScenePool
@@ -133,7 +133,7 @@ def unwritten(folder: Path, observer: Observer, homes: Sequence[str], recipe: Re
     written = [home for home in homes if home in records]
     if others := [home for home in written if records[home].fingerprint != observer.source.fingerprint(home)]:
         raise UserError(
-            f"shards: got other homes than {folder} holds under the same names ({told(others)}); write to another "
+            f"shards: got other homes than {folder} holds under the same names ({first_of(others)}); write to another "
             f"folder, take the scene source as it was, or remove {_record(folder, others[0]).name} to write that anew"
         )
     return [home for home in homes if home not in records]
@@ -202,9 +202,8 @@ def write_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> 
         for group in range(groups):
             items.append(encode(look(observer, scene, recipe.sampler, (*seed, group), recipe.group)))
             written += len(items[-1])
-            if (
-                size := written * groups / len(items)
-            ) > MOST_BYTES:  # told after the first group, not after the last
+            size = written * groups / len(items)
+            if size > MOST_BYTES:  # told after the first group, not after the last
                 raise UserError(
                     f"views: got {recipe.views} of each home, about {size / 1e9:.1f} GB, expected at most "
                     f"{MOST_BYTES / 1e9:.1f} GB, as much as a chunk can hold; write fewer of more homes"
@@ -246,8 +245,7 @@ def write_index(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, A
         homes = {
             home: {"items": each.items, "fingerprint": each.fingerprint} for home, each in records.items()
         }
-        made_with = {"views": describe(observer), "sampler": plain(recipe.sampler)}
-        about = {**made_with, "group": recipe.group, "homes": homes}
+        about = {"views": describe(observer), "recipe": plain(recipe), "homes": homes}
         first = _write_chunk(folder / ABOUT, [json.dumps(about).encode()])
         chunks = [first["entry"], *(record.chunk["entry"] for record in records.values())]
         # by this time alone litdata knows that what it keeps of a URL is out of date
@@ -275,11 +273,6 @@ def difference(made_with: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
         if made_with.get(part) != value:
             return f"{part} {made_with.get(part)}, but the config asks for {value}"
     return ""
-
-
-def told(homes: Sequence[str], most: int = 5) -> str:
-    """Names of homes for a message, the first few."""
-    return ", ".join(homes[:most]) + (f" and {len(homes) - most} more" if len(homes) > most else "")
 
 
 def prepare_litdata() -> None:

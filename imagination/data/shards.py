@@ -15,9 +15,9 @@ from zlib import crc32
 import numpy as np
 
 from imagination.cache import decode
-from imagination.data.corpus import INDEX, as_read, chunk_name, describe, difference, prepare_litdata, told
+from imagination.data.corpus import INDEX, as_read, chunk_name, describe, difference, prepare_litdata
 from imagination.data.datamodule import SceneData
-from imagination.errors import UserError, check_range
+from imagination.errors import UserError, check_range, first_of
 from imagination.ranks import rank, ranks
 from imagination.views.collector import Stream, Views, concatenate
 from imagination.views.view import Observer, plain
@@ -88,12 +88,13 @@ class Shards:
             if not remote:
                 self._items = StreamingDataset(place)
             about = json.loads(bytes(self._items[0]))
-            self.group: int = int(about["group"])
+            self.recipe: dict[str, Any] = about["recipe"]
+            self.group: int = int(self.recipe["group"])
+            self.sampler: dict[str, Any] = dict(self.recipe["sampler"])
             homes = about["homes"].items()
             self.homes: dict[str, int] = {str(home): int(each["items"]) for home, each in homes}
             self.fingerprints: dict[str, str] = {str(home): str(each["fingerprint"]) for home, each in homes}
             self.views: dict[str, Any] = about["views"]
-            self.sampler: dict[str, Any] = about["sampler"]
         except UserError:
             raise
         except (RuntimeError, ValueError, LookupError, TypeError, OSError, AttributeError) as error:
@@ -148,7 +149,7 @@ class Shards:
         if others := [home for home in homes if self.fingerprints[home] != observer.source.fingerprint(home)]:
             raise UserError(
                 f"data.shards: {self.place} was written of other homes than the config's of these names: "
-                f"{told(others)}; choose the scene source and furniture it was written of"
+                f"{first_of(others)}; choose the scene source and furniture it was written of"
             )
 
 
@@ -224,6 +225,7 @@ class ShardData(SceneData):
         self._where = shards, shard_cache, shard_gigabytes
         self._collector: ShardCollector | None = None
         self._homes: list[str] = []
+        self._recipe: dict[str, Any] = {}
 
     def setup(self, stage: str) -> None:
         if stage == "fit":
@@ -236,6 +238,7 @@ class ShardData(SceneData):
             shards = Shards(*self._where)
             shards.check(self.observer)
             self._homes = self._training_homes(shards)
+            self._recipe = shards.recipe
             shards.check_homes(self.observer, self._homes)
             own = as_read(plain(self.sampler))
             if different := difference(shards.sampler, own):
@@ -246,22 +249,28 @@ class ShardData(SceneData):
         return self._collector
 
     def state_dict(self) -> dict[str, Any]:
-        """The homes that this run trains on: a corpus may have grown when it goes on."""
-        return {"homes": {home: self.observer.source.fingerprint(home) for home in self._homes}}
+        """The homes that this run trains on, and how they were looked at: a corpus may grow or move."""
+        homes = {home: self.observer.source.fingerprint(home) for home in self._homes}
+        return {"homes": homes, "recipe": self._recipe}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self._homes = list(state_dict["homes"])
+        self._homes, self._recipe = list(state_dict["homes"]), state_dict["recipe"]
 
     def _training_homes(self, shards: Shards) -> list[str]:
         """Those of the training split that the corpus holds; of a run that goes on, those that it began with.
 
         Raises:
-            UserError: if there are none, or some of those are gone.
+            UserError: if there are none, some of those are gone, or the corpus is another than the run began with.
         """
         if self._homes:
+            if self._recipe != shards.recipe:
+                raise UserError(
+                    f"data.shards: the views in {shards.place} were drawn with {shards.recipe}, expected "
+                    f"{self._recipe}, which this run began with; go on with that corpus, or start a new run"
+                )
             if lost := [home for home in self._homes if home not in shards.homes]:
                 raise UserError(
-                    f"data.shards: {shards.place} does not hold {told(lost)} any more, which this run began "
+                    f"data.shards: {shards.place} does not hold {first_of(lost)} any more, which this run began "
                     "with; write them again, or start a new run"
                 )
             return self._homes
@@ -269,8 +278,8 @@ class ShardData(SceneData):
         homes = [home for home in asked if home in shards.homes]
         if not homes:
             raise UserError(
-                f"data.shards: {shards.place} holds {told(list(shards.homes))}, expected homes of the "
-                f"training split: {told(asked)}; choose the scene source it was written with"
+                f"data.shards: {shards.place} holds {first_of(list(shards.homes))}, expected homes of the "
+                f"training split: {first_of(asked)}; choose the scene source it was written with"
             )
         if missing := len(asked) - len(homes):
             log.warning("data.shards: %d of the %d homes of training are not in it", missing, len(asked))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int64
 
-from imagination.errors import UserError, check_choice, check_range
+from imagination.errors import UserError, check_choice, check_range, first_of
 from imagination.evaluation.approaches import NEEDS, Approach, Predictions, Setting
 from imagination.evaluation.map_files import SavedMaps
 from imagination.evaluation.measuring import Arrays, Plan, maps_of, measure_run, tally_run
@@ -294,6 +294,6 @@ def homes_with(subject: Subject, homes: Sequence[str]) -> dict[str, list[str]]:
         if not names:
             raise UserError(
                 f"category {category!r}: none of the {len(homes)} homes to evaluate contains one "
-                f"({', '.join(homes[:5])}{' …' if len(homes) > 5 else ''}); choose another category or more homes"
+                f"({first_of(homes)}); choose another category or more homes"
             )
     return present

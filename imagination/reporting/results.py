@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int64
 
-from imagination.errors import UserError, check_range
+from imagination.errors import UserError, check_range, first_of
 from imagination.evaluation import map_files, single_views
 from imagination.evaluation.map_files import SavedMaps
 from imagination.evaluation.metrics import count
@@ -189,8 +189,7 @@ class Results:
         asked = [row["home"] for row in self.table(HOMES) if "home" in row]
         if not (lost := [home for home in asked if home not in there]):
             return f"{len(there)} homes"
-        more = f" and {len(lost) - MOST_NAMED} more" if len(lost) > MOST_NAMED else ""
-        return f"{len(there)} of {len(asked)} homes; missing: {', '.join(lost[:MOST_NAMED])}{more}"
+        return f"{len(there)} of {len(asked)} homes; missing: {first_of(lost, MOST_NAMED)}"
 
     def _from_table(self) -> dict[Key, Runs]:
         path = self.folder / "tables" / "runs.csv"

@@ -306,6 +306,22 @@ def test_a_run_goes_on_with_the_homes_it_began_with(corpus: Path, tmp_path: Path
         lost.collector(4)
 
 
+def test_a_run_goes_on_with_the_corpus_it_began_with_wherever_it_lies(corpus: Path, tmp_path: Path) -> None:
+    begun = streamed(str(corpus), tmp_path, 5)
+    views = begun.collector(4).start(3)()
+    moved = streamed(str(copy(corpus, tmp_path)), tmp_path, 5)
+    moved.load_state_dict(begun.state_dict())
+    assert same(moved.collector(4).start(3)(), views)
+    watcher, folder = observer(tmp_path, Rooms(5)), tmp_path / "other"
+    other = replace(RECIPE, seed=2)
+    dict(corpora.write_homes(watcher, HOMES, folder, other, 0))
+    corpora.write_index(folder, watcher, other)
+    changed = streamed(str(folder), tmp_path, 5)
+    changed.load_state_dict(begun.state_dict())
+    with pytest.raises(UserError, match="'seed': 2.* expected .*'seed': 1.* go on with that corpus"):
+        changed.collector(4)
+
+
 def test_homes_that_are_open_at_once_have_room(corpus: Path, tmp_path: Path) -> None:
     largest = max((corpus / f"chunk-{home}.bin").stat().st_size for home in HOMES)
     enough = 2 * largest / 1e9  # two homes are looked into at once
