@@ -50,6 +50,21 @@ def check_index(index: Any, folder: Path | None) -> None:
             )
 
 
+def _fetched(place: str, **options: Any) -> Any:
+    """What lies behind a URL, its index fetched."""
+    from litdata import StreamingDataset
+
+    try:
+        items = StreamingDataset(place, **options)
+        len(items)  # fetches the index
+        return items
+    except Exception as error:  # each storage's client has its own
+        reason = str(error).partition("\n")[0]
+        raise UserError(
+            f"data.shards: {place} cannot be fetched ({reason}); check the address and the credentials of its storage"
+        ) from error
+
+
 class Shards:
     """A corpus to read from.
 
@@ -77,8 +92,7 @@ class Shards:
         own = Path(cache) / hashlib.sha256(place.encode()).hexdigest()[:16]
         try:
             if remote:
-                self._items = StreamingDataset(place, cache_dir=str(own), max_cache_size=f"{gigabytes}GB")
-                len(self._items)  # fetches the index
+                self._items = _fetched(place, cache_dir=str(own), max_cache_size=f"{gigabytes}GB")
             chunks = []
             for index in own.rglob(INDEX) if remote else [Path(place) / INDEX]:
                 listed = json.loads(index.read_text())

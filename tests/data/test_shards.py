@@ -257,6 +257,15 @@ def test_a_corpus_behind_a_url_may_grow(corpus: Path, tmp_path: Path) -> None:
     assert same(grown.read("train_5", 0), opened(folder).read("train_5", 0))
 
 
+@pytest.mark.parametrize("url", ["s3://", "local:///nowhere/at/all"])
+def test_a_url_that_cannot_be_fetched_is_told(
+    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")  # else it asks for credentials over the network
+    with pytest.raises(UserError, match="cannot be fetched .*; check the address and the credentials"):
+        Shards(url, str(tmp_path), 1.0)
+
+
 def streamed(corpus: str, folder: Path, count: int, gigabytes: float = 1.0) -> ShardData:
     """Data of a training on the first `count` rooms, out of a corpus."""
     return ShardData(
