@@ -22,7 +22,7 @@ from typing import Any
 
 from benchmarks.measure import Figure, peak_memory, unmeasured
 
-SECTIONS = tuple("startup rendering truth maps buffer training distributed evaluation shards".split())
+SECTIONS = tuple("startup rendering truth maps buffer training gpu distributed evaluation shards".split())
 WITH_PROCESSES = {"startup", "rendering", "distributed", "shards"}
 """Sections that measure processes which they start."""
 

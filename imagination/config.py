@@ -6,6 +6,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import wraps
 from typing import Any
@@ -183,6 +184,11 @@ def compose(config_name: str, overrides: list[str]) -> DictConfig:
 
 def explain(error: BaseException) -> str | None:
     """What to tell the user about an error that is theirs to mend; None if it is the program's."""
+    if isinstance(error, BrokenProcessPool):
+        return (
+            "a worker process was killed, as for want of memory, or crashed; take fewer with scale.workers; a training "
+            "that finished a round goes on with resume=latest"
+        )
     if not isinstance(error, (UserError, HydraException, OmegaConfBaseException)):
         return None
     causes = list(_causes(error))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -49,7 +51,7 @@ def train(run: Run) -> Trainer:
     try:
         with stage("homes and truth"):
             data.setup("fit")
-        with stage("training"):
+        with stage("training"), gpu_memory(run.config):
             trainer.fit(model, datamodule=data, ckpt_path=run.checkpoint, weights_only=True)
         with stage("homes and truth"):
             data.setup("test")
@@ -59,6 +61,27 @@ def train(run: Run) -> Trainer:
         data.close()
     record_hyperparameters(trainer, run.config)
     return trainer
+
+
+@contextmanager
+def gpu_memory(config: DictConfig) -> Iterator[None]:
+    """Tell a GPU that is too small for a step.
+
+    Raises:
+        UserError: if its memory does not suffice.
+    """
+    import torch
+
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        scale = config.scale
+        raise UserError(
+            f"GPU memory: a step of {scale.batch_size} views in {scale.accumulate} part(s) does not fit; expected more "
+            f"parts, such as scale.accumulate={2 * scale.accumulate}, which keeps the batch; "
+            "scale.precision=bf16-mixed, which takes less; or a GPU that nobody else uses. "
+            f"It said: {str(error).partition(' Including')[0]}"
+        ) from error
 
 
 def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:

@@ -10,7 +10,11 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+import torch
+from omegaconf import OmegaConf
 
+from imagination.errors import UserError
+from imagination.train import gpu_memory
 from tests.conftest import ROOT, Command
 from tests.test_resume import points
 
@@ -98,6 +102,16 @@ def test_an_accelerator_that_is_not_there_is_told(command: Command) -> None:
     done = command("train", "scale=test", "trainer.accelerator=tpu")
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "trainer.accelerator: got 'tpu', expected one that this machine has: auto, cpu" in done.stderr
+
+
+def test_a_gpu_that_is_too_small_is_told() -> None:
+    config = OmegaConf.create({"scale": {"batch_size": 108, "accumulate": 2}})
+    told = r"108 views in 2 part\(s\) .* scale.accumulate=4.* CUDA out of memory\. .* is free\.$"
+    with pytest.raises(UserError, match=told), gpu_memory(config):
+        raise torch.OutOfMemoryError(
+            "CUDA out of memory. Tried to allocate 324.00 MiB. GPU 0 has a total capacity of 79.18 GiB of which "
+            "268.19 MiB is free. Including non-PyTorch memory, this process has 78.91 GiB memory in use."
+        )
 
 
 def only(folder: Path, pattern: str) -> Path:

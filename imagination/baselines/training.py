@@ -69,7 +69,7 @@ class SegmentationTraining(LightningModule):
         return (logits + mirrored.flip(-1)) / 2
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
-        loss, _ = self._compare(batch)
+        loss, _ = self.compare(batch)
         if "views" in batch:  # Lightning takes the mean over parts, which may differ by a view
             loss = loss * len(batch["rgb"]) * self.trainer.accumulate_grad_batches / batch["views"]
         values = {"loss": loss, "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"]}
@@ -96,7 +96,7 @@ class SegmentationTraining(LightningModule):
         optimizer = self.optimizer(self.parameters())
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer)}
 
-    def _compare(self, batch: Batch) -> tuple[Tensor, Tensor]:
+    def compare(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """The loss, and the likeliest class of each pixel."""
         truth = batch["segmentation"].long()
         logits = at_size(self(batch["rgb"]), *truth.shape[-2:])
@@ -105,7 +105,7 @@ class SegmentationTraining(LightningModule):
         return total / max(1, truth.numel()), logits.argmax(dim=1)  # a process may have got no view
 
     def _score(self, batch: Batch, stage: str, scores: MulticlassConfusionMatrix) -> None:
-        loss, predicted = self._compare(batch)
+        loss, predicted = self.compare(batch)
         self.log(f"{stage}/loss", loss, batch_size=len(predicted), sync_dist=True)
         scores.update(predicted, batch["segmentation"].long())
 

@@ -83,7 +83,7 @@ def test_one_batch_can_be_learnt_by_heart_and_segmenting_leaves_no_trace() -> No
     trained, views = module(), batch()
     optimizer = trained.configure_optimizers()["optimizer"]
     for _ in range(60):
-        loss, _ = trained._compare(views)
+        loss, _ = trained.compare(views)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

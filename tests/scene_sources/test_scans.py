@@ -324,7 +324,8 @@ def triangle(header: str, row: str) -> bytes:
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (ascii_ply("element vertex two"), "header is broken"),
+        (ascii_ply("element vertex two"), "line 3: got 'two' elements"),
+        (ascii_ply(f"element vertex -1440|{XYZ}"), "line 3: got '-1440' elements"),
         (b"nothing", "header is broken"),
         (ascii_ply("element vertex 0|property float x"), "has no y"),
         (ascii_ply(f"element vertex 1000000000000|{XYZ}"), "line 3: announces 1000000000000 elements"),

@@ -44,10 +44,21 @@ SIZE = (0.5, 0.5, 0.9)
 # archives
 
 
-@pytest.mark.parametrize("name", ["../evil.obj", "/etc/passwd", "a/../../evil", "C:/evil", "..\\evil"])
+@pytest.mark.parametrize(
+    "name", ["../evil.obj", "/etc/passwd", "a/../../evil", "C:/evil", "..\\evil", ".", "/.."]
+)
 def test_no_member_leaves_its_folder(tmp_path: Path, name: str) -> None:
     path = write_archive(tmp_path / "a.zip", {name: "x"})
     with pytest.raises(UserError, match="leads out of the archive"), archives.opened(path):
+        pass
+
+
+def test_a_member_without_a_name_is_refused(tmp_path: Path) -> None:
+    content = write_archive(tmp_path / "a.zip", {"x": "y"}).read_bytes()
+    local, directory = content.split(b"PK\x01\x02")
+    path = tmp_path / "b.zip"  # the directory's name of one letter becomes a comment
+    path.write_bytes(local + b"PK\x01\x02" + directory[:24] + b"\0\0\0\0\1\0" + directory[30:])
+    with pytest.raises(UserError, match="'' names no file"), archives.opened(path):
         pass
 
 
@@ -111,6 +122,13 @@ def test_numbers_count_from_the_end_and_lines_are_left_out(tmp_path: Path) -> No
     mesh = model(tmp_path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nf 1 2\n")
     assert mesh.faces.tolist() == [[0, 1, 2]]
     assert mesh.notes == ["1 of its faces have fewer than three corners"]
+
+
+@pytest.mark.parametrize("number", [2, -2])
+def test_a_texture_coordinate_that_does_not_exist_is_none(tmp_path: Path, number: int) -> None:
+    face = " ".join(f"{vertex}/{number}" for vertex in (1, 2, 3))
+    mesh = model(tmp_path, f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 1 1\nf {face}\n")
+    assert len(mesh.faces) == 1 and not mesh.uv.any()
 
 
 @pytest.mark.parametrize(

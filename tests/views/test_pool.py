@@ -11,6 +11,7 @@ from signal import SIGKILL
 
 import pytest
 
+from imagination.config import explain
 from imagination.errors import UserError
 from imagination.views.pool import ScenePool
 from imagination.views.view import Observer
@@ -65,8 +66,9 @@ def test_a_worker_that_is_killed_while_it_answers_is_noticed(tmp_path: Path) -> 
     """As the kernel kills one for its memory: the rest of the answer never comes."""
     pool = ScenePool(observer(tmp_path), workers=1)
     try:
-        with pytest.raises(BrokenProcessPool):
+        with pytest.raises(BrokenProcessPool) as caught:
             pool.submit(die_while_answering, "one").result(timeout=60)
+        assert "scale.workers" in (explain(caught.value) or "")
     finally:
         pool.close()
 

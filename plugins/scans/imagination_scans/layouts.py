@@ -123,7 +123,11 @@ def _check_counts(path: Path) -> None:
         count, values, announced = 0, 0, 0
         for number, line in enumerate(iter(lambda: file.readline(4096), b""), start=1):
             words = line.split()
-            if words[:1] == [b"element"] and len(words) == 3 and words[2].isdigit():
+            if words[:1] == [b"element"] and len(words) == 3:
+                if not words[2].isdigit():
+                    raise UserError(
+                        f"{path}, line {number}: got {words[2].decode('latin-1')!r} elements, expected a number"
+                    )
                 count, values, announced = int(words[2][:18]), 0, number
             elif words[:1] == [b"property"]:
                 values += 1

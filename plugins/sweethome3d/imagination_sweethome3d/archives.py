@@ -38,7 +38,9 @@ class Archive:
                 f"{path}: got {len(members)} members of {total} bytes unpacked, expected at most {MAX_MEMBERS} of "
                 f"{MAX_TOTAL}; it is not used"
             )
-        self._members = {_name(path, member.filename): member for member in members if not member.is_dir()}
+        self._members = {
+            _name(path, member.filename): member for member in members if not member.filename.endswith("/")
+        }
 
     def __contains__(self, name: str) -> bool:
         return name in self._members
@@ -108,8 +110,10 @@ def opened(path: Path) -> Iterator[Archive]:
 
 
 def _name(path: Path, name: str) -> str:
-    """A member's name as a relative path, refused if it leads out of the archive."""
+    """A member's name as a relative path, refused if it has none or leads out of the archive."""
     plain = posixpath.normpath(name.replace("\\", "/"))
-    if plain.startswith(("/", "../")) or plain == ".." or ":" in plain.partition("/")[0]:
-        raise UserError(f"{path}: its member {name!r} leads out of the archive; it is not used")
+    if plain.startswith(("/", "../")) or plain in (".", "..") or ":" in plain.partition("/")[0]:
+        raise UserError(
+            f"{path}: its member {name!r} names no file or leads out of the archive; it is not used"
+        )
     return plain

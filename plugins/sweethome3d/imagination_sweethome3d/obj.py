@@ -112,7 +112,7 @@ class _Reader:
         coordinate += len(self.coordinates) if coordinate < 0 else -1
         if not 0 <= vertex < len(self.vertices):
             raise ValueError(f"there is no vertex {parts[0]}")
-        return vertex, coordinate if coordinate < len(self.coordinates) else -1
+        return vertex, coordinate if 0 <= coordinate < len(self.coordinates) else -1
 
     def _face(self, corners: Row) -> None:
         if len(corners) < 3:

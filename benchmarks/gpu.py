@@ -1,0 +1,151 @@
+"""A training step at the paper's scale on a CUDA GPU: samples a second, beside a matrix product's, and its memory."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import torch
+import torch.utils.deterministic
+from hydra.utils import instantiate
+from lightning import LightningModule
+from torch import Tensor
+from torch.utils.flop_counter import FlopCounterMode
+
+from benchmarks.measure import Figure, medians, unmeasured
+from benchmarks.subjects import SEED, config
+from imagination.baselines.training import SegmentationTraining
+
+EXPERIMENTS = {
+    "unit, resnet18, unet": "chair_unet",
+    "3 units side by side": "all_units",
+    "HRNetV2 w48": "segmentation_hrnet",
+}
+KINDS = {"32-true": torch.float32, "bf16-mixed": torch.bfloat16}
+PARTS = (1, 2, 4, 6, 12)
+"""A batch is cut into the fewest of these that fit into the GPU's memory, as `scale.accumulate` does."""
+
+SIDE = 8192
+"""Of the matrices multiplied."""
+
+
+def run(folder: str) -> list[Figure]:
+    """All figures."""
+    if not torch.cuda.is_available():
+        return [unmeasured("training at the paper's scale", "no CUDA GPU here")]
+    as_in_training()
+    figures = [
+        figure for name in EXPERIMENTS for kind in KINDS for figure in step_figures(folder, name, kind)
+    ]
+    return figures + [compiled_figure(folder, kind) for kind in KINDS]
+
+
+def as_in_training() -> None:
+    """Take deterministic kernels, as `trainer.deterministic=warn` does."""
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+    torch.use_deterministic_algorithms(True, warn_only=True)
+    torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
+    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32  # the product as convolutions
+
+
+def step_figures(folder: str, name: str, kind: str) -> list[Figure]:
+    """Speed and memory of one network's step in one precision."""
+    size = config(folder, "scale=paper").scale.batch_size
+    for parts in PARTS:
+        step: Callable[[], None] | None = None  # so that the memory of the last one is free
+        try:
+            step = training_step(folder, EXPERIMENTS[name], kind, parts)
+            with FlopCounterMode(display=False) as counter:
+                step()
+            torch.cuda.reset_peak_memory_stats()
+            seconds = medians({"step": step}, 5.0, 3)["step"]
+        except torch.OutOfMemoryError:
+            torch.cuda.empty_cache()
+            continue
+        memory = torch.cuda.max_memory_allocated() / 1e9
+        what = f"training step, {name}, {kind}, batch of {size}" + (f" in {parts} parts" if parts > 1 else "")
+        flops = counter.get_total_flops()
+        return [
+            Figure(
+                f"{what}, {flops / size / 1e9:.1f} GFLOP a sample: {size / seconds:.0f} samples/s",
+                flops / seconds / 1e12,
+                "TFLOP/s",
+                2 * SIDE**3 / medians({"product": product(kind)}, 2.0)["product"] / 1e12,
+                f"matrix product of {SIDE}², {'TF32' if kind == '32-true' else 'bfloat16'}",
+            ),
+            Figure(f"{what}: peak memory", memory, "GB"),
+        ]
+    return [unmeasured(f"{name}, {kind}", f"{size // PARTS[-1]} views do not fit into this GPU's memory")]
+
+
+def product(kind: str) -> Callable[[], None]:
+    """A plain matrix product of the type that the step computes in, waited for."""
+    one, other = (torch.randn(SIDE, SIDE, device="cuda", dtype=KINDS[kind]) for _ in range(2))
+
+    def multiply() -> None:
+        one @ other
+        torch.cuda.synchronize()
+
+    return multiply
+
+
+def compiled_figure(folder: str, kind: str) -> Figure:
+    """What torch.compile changes of the unit's step, in turns with it."""
+    size = config(folder, "scale=paper").scale.batch_size
+    steps = {
+        name: training_step(folder, "chair_unet", kind, 1, f"model.module.compile={name == 'compiled'}")
+        for name in ("compiled", "default")
+    }
+    times = medians(steps, 5.0, 3)
+    what = f"training step, unit, resnet18, unet, {kind}, with torch.compile"
+    return Figure(what, size / times["compiled"], "samples/s", size / times["default"], "as configured")
+
+
+def training_step(folder: str, experiment: str, kind: str, parts: int, *overrides: str) -> Callable[[], None]:
+    """One step as configured (forward, loss, backward, optimiser), waited for; of random views."""
+    torch.manual_seed(SEED)
+    paper = config(folder, "scale=paper", *overrides, experiment=experiment)
+    module: LightningModule = instantiate(paper.model.module).cuda()
+    if paper.model.module.get("compile"):
+        module.unit.compile()
+    optimizer = module.optimizer(module.parameters())
+    size = paper.scale.batch_size // parts
+    cells = round(paper.scale.ego_extent / paper.scale.resolution)
+    batch = random_batch(size, paper.scale.image, cells, len(paper.unit_categories))
+
+    def step() -> None:
+        optimizer.zero_grad()
+        for _ in range(parts):
+            with torch.autocast("cuda", torch.bfloat16, enabled=kind == "bf16-mixed"):
+                loss = loss_of(module, batch)
+            loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        torch.cuda.synchronize()
+
+    return step
+
+
+def loss_of(module: LightningModule, batch: dict[str, Tensor]) -> Tensor:
+    """Of a unit or of a first-person segmentation."""
+    if isinstance(module, SegmentationTraining):
+        return module.compare(batch)[0]
+    loss, _ = module.loss(module(batch), batch["label"], batch["neighbourhood"])
+    return loss
+
+
+def random_batch(views: int, image: int, cells: int, categories: int) -> dict[str, Tensor]:
+    """Of the sizes and types that the datamodule delivers; a step takes as long on any content."""
+    draw = torch.Generator("cuda").manual_seed(SEED)
+
+    def integers(most: int, *shape: int) -> Tensor:
+        return torch.randint(0, most, (views, *shape), generator=draw, device="cuda", dtype=torch.uint8)
+
+    return {
+        "rgb": integers(256, 3, image, image).contiguous(memory_format=torch.channels_last),
+        "depth": 5 * torch.rand(views, 1, image, image, generator=draw, device="cuda").half(),
+        "occupied": integers(2, 1, cells, cells),
+        "seen": integers(2, 1, cells, cells),
+        "label": integers(2, categories, cells, cells),
+        "neighbourhood": torch.ones(views, categories, cells, cells, device="cuda", dtype=torch.uint8),
+        "segmentation": integers(1 + categories, image, image),
+    }
