@@ -11,6 +11,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from dataclasses import asdict
 from datetime import date
 from importlib import import_module
@@ -78,11 +79,13 @@ def write(folder: Path, section: str, result: dict[str, Any]) -> None:
 
 
 def page(sections: dict[str, Any]) -> str:
-    """The results as Markdown; what all sections were made with is told once."""
+    """The results as Markdown; what most sections were made with is told once, and by the others what they were."""
     made = [how_made(result) for result in sections.values()]
-    common = [each for each in made[0] if all(each in how for how in made)]
+    count = Counter(each for how in made for each in how)
+    common = [each for each in count if count[each] > len(made) / 2]
     minutes = sum(result["minutes"] for result in sections.values())
-    parts = [HEAD.format(made=", ".join(common), minutes=minutes)]
+    unless = "" if all(how == made[0] for how in made) else ", unless a section says otherwise"
+    parts = [HEAD.format(made=", ".join(common) + unless, minutes=minutes)]
     for how, (section, result) in zip(made, sections.items(), strict=True):
         about = [f"took {result['minutes']:.1f} minutes"]
         if "peak_memory" in result:
