@@ -6,7 +6,6 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import wraps
 from typing import Any
@@ -57,6 +56,7 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.eval_homes": (1, 100_000, "homes"),
     "scale.batch_size": (1, 100_000, "views"),
     "scale.accumulate": (1, 100_000, "parts"),
+    "scale.hrnet_accumulate": (1, 100_000, "parts"),
     "scale.rounds": (1, 10**9, "rounds"),
     "scale.learning_rate": (0.0, 10.0, ""),
     "scale.final_learning_rate": (0.0, 10.0, ""),
@@ -184,11 +184,6 @@ def compose(config_name: str, overrides: list[str]) -> DictConfig:
 
 def explain(error: BaseException) -> str | None:
     """What to tell the user about an error that is theirs to mend; None if it is the program's."""
-    if isinstance(error, BrokenProcessPool):
-        return (
-            "a worker process was killed, as for want of memory, or crashed; take fewer with scale.workers; a training "
-            "that finished a round goes on with resume=latest"
-        )
     if not isinstance(error, (UserError, HydraException, OmegaConfBaseException)):
         return None
     causes = list(_causes(error))

@@ -143,8 +143,18 @@ def _exclusively(sweep: Path) -> Iterator[None]:
 def _load(sweep: Path) -> list[Member]:
     if not (sweep / FILE).is_file():
         return []
-    with open(sweep / FILE, newline="") as file:
-        return [Member(**row) for row in csv.DictReader(file)]
+    try:
+        with open(sweep / FILE, newline="") as file:
+            rows = list(csv.reader(file))
+        if not rows or tuple(rows[0]) != Member._fields:
+            raise ValueError(f"its columns are not {','.join(Member._fields)}")
+        if odd := [row[0] for row in rows[1:] if row and not row[0].isdecimal()]:
+            raise ValueError(f"got the folder {odd[0]!r}, expected a number")
+        return [Member(*row) for row in rows[1:]]
+    except (OSError, ValueError, TypeError, csv.Error) as error:
+        raise UserError(
+            f"{sweep / FILE}: cannot be read ({error}); restore it, or give another folder with sweep_dir=…"
+        ) from error
 
 
 def _save(sweep: Path, members: Sequence[Member]) -> None:

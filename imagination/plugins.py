@@ -143,7 +143,7 @@ def _examine(plugin: Plugin, names: Mapping[str, str], owners: Mapping[str, str]
             return f"its config {option!r} exists already in {owners[option]}; rename it"
         try:
             yaml.safe_load((plugin.conf / f"{option}.yaml").read_text())
-        except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
+        except Exception as error:  # yaml raises anything on what looks like a date or a number
             return f"{option}.yaml cannot be read: {' '.join(str(error).split())}"
     plugin.options = options
     return ""

@@ -13,13 +13,11 @@ from typing import NamedTuple
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from imagination import runs
 from imagination.cache import code_version
 from imagination.config import check_targets, explain, validate
-from imagination.errors import UserError
+from imagination.errors import UserError, WorkerDiedError
 from imagination.progress import console
 from imagination.ranks import agree, end_with_starter, lost_another, rank
 
@@ -95,6 +93,8 @@ def opened(config: DictConfig) -> Iterator[Run]:
             log.error("The run failed", exc_info=True, extra=runs.FILE_ONLY)
             if "torch" in sys.modules and lost_another(error):
                 raise lost(folder) from error
+            if isinstance(error, WorkerDiedError):  # nothing is wrong with the run
+                raise WorkerDiedError(f"; {again(folder)}") from error
             if explain(error) and not (folder / runs.LAST).is_file():  # refused: nothing to go on with
                 runs.take_back_latest(folder, run.before)
             raise
@@ -127,12 +127,17 @@ def _joined(config: DictConfig) -> Run:
 
 def lost(folder: Path) -> UserError:
     """What to tell when another of several processes is gone."""
-    last = folder / runs.LAST
-    again = f"go on with the same command and ckpt_path={last}"
     return UserError(
-        "training: another of the processes that train together is gone, so the job stops; "
-        + (again if last.is_file() else "no round was finished, so start the same command again")
+        f"training: another of the processes that train together is gone, so the job stops; {again(folder)}"
     )
+
+
+def again(folder: Path) -> str:
+    """What to do about a run that ended through no fault of its own."""
+    last = folder / runs.LAST
+    if HydraConfig.get().mode == RunMode.MULTIRUN or not last.is_file():
+        return "start the same command again"
+    return f"go on with the same command and ckpt_path={last}"
 
 
 def _new(config: DictConfig) -> Path:
@@ -246,7 +251,9 @@ def _read(path: Path) -> DictConfig:
         OmegaConf.set_struct(saved, True)
         validate(saved)
         check_targets(saved)
-    except (YAMLError, OmegaConfBaseException, AssertionError, UnicodeDecodeError) as error:
+    except UserError:
+        raise
+    except Exception as error:  # yaml raises anything on what looks like a date or a number
         raise UserError(f"config {path}: is truncated or damaged ({error}); start a new run") from error
     return saved
 

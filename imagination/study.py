@@ -138,9 +138,13 @@ def newest(outputs: Path, config: DictConfig, finished: bool) -> Path | None:
 
 def _trains(path: Path, trained_by: str) -> bool:
     """Whether the config of a run has this hash, and nothing that only evaluation reads, which it would pass on."""
-    config = OmegaConf.load(path)
-    assert isinstance(config, DictConfig)
-    return trained_key(config) == trained_by and not any(map(evaluated, config.choices))
+    try:
+        config = OmegaConf.load(path)
+        assert isinstance(config, DictConfig)
+        return trained_key(config) == trained_by and not any(map(evaluated, config.choices))
+    except Exception as error:  # yaml raises anything on what looks like a date or a number
+        log.warning("study: %s is damaged (%s); its run is not taken", path, error)
+        return False
 
 
 def _run(name: str, *overrides: Sequence[str]) -> None:

@@ -65,7 +65,7 @@ def train(run: Run) -> Trainer:
 
 @contextmanager
 def gpu_memory(config: DictConfig) -> Iterator[None]:
-    """Tell a GPU that is too small for a step.
+    """Tell a GPU that is too small for training.
 
     Raises:
         UserError: if its memory does not suffice.
@@ -75,12 +75,17 @@ def gpu_memory(config: DictConfig) -> Iterator[None]:
     try:
         yield
     except torch.OutOfMemoryError as error:
-        scale = config.scale
+        parts = config.trainer.accumulate_grad_batches
+        share = config.scale.batch_size // (config.trainer.devices * config.trainer.num_nodes)
+        key = "scale.hrnet_accumulate" if config.model.predicts == "images" else "scale.accumulate"
+        advice = ["a GPU that nobody else uses"]
+        if resolved(config.trainer.precision) == "32-true":
+            advice.insert(0, "scale.precision=bf16-mixed, which takes less")
+        if parts < share:
+            advice.insert(0, f"{key}={min(2 * parts, share)}, which computes the same batch in more parts")
         raise UserError(
-            f"GPU memory: a step of {scale.batch_size} views in {scale.accumulate} part(s) does not fit; expected more "
-            f"parts, such as scale.accumulate={2 * scale.accumulate}, which keeps the batch; "
-            "scale.precision=bf16-mixed, which takes less; or a GPU that nobody else uses. "
-            f"It said: {str(error).partition(' Including')[0]}"
+            f"GPU memory: training with {share} views a GPU in {parts} part(s) does not fit; expected a new run with "
+            f"{', or '.join(advice)}. It said: {str(error).partition(' Including')[0]}"
         ) from error
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from omegaconf import OmegaConf
 
+from imagination.config import compose
 from imagination.errors import UserError
 from imagination.train import gpu_memory
 from tests.conftest import ROOT, Command
@@ -104,9 +104,21 @@ def test_an_accelerator_that_is_not_there_is_told(command: Command) -> None:
     assert "trainer.accelerator: got 'tpu', expected one that this machine has: auto, cpu" in done.stderr
 
 
-def test_a_gpu_that_is_too_small_is_told() -> None:
-    config = OmegaConf.create({"scale": {"batch_size": 108, "accumulate": 2}})
-    told = r"108 views in 2 part\(s\) .* scale.accumulate=4.* CUDA out of memory\. .* is free\.$"
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (
+            ["scale.accumulate=2", "scale.precision=32-true"],
+            "scale.accumulate=4, .* scale.precision=bf16-mixed",
+        ),
+        (["+experiment=segmentation_hrnet", "scale.hrnet_accumulate=6"], "scale.hrnet_accumulate=12, "),
+        (["scale.accumulate=80", "trainer.precision=bf16-mixed"], "scale.accumulate=108, .*, or a GPU"),
+        (["scale.accumulate=108", "trainer.precision=bf16-mixed"], "expected a new run with a GPU"),
+    ],
+)
+def test_a_gpu_that_is_too_small_is_told(overrides: list[str], told: str) -> None:
+    config = compose("train", ["scale=paper", "paths.run=.", *overrides])
+    told = rf"with 108 views a GPU in \d+ part.* {told}.* CUDA out of memory\. .* is free\.$"
     with pytest.raises(UserError, match=told), gpu_memory(config):
         raise torch.OutOfMemoryError(
             "CUDA out of memory. Tried to allocate 324.00 MiB. GPU 0 has a total capacity of 79.18 GiB of which "

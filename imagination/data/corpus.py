@@ -15,7 +15,6 @@ import re
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,14 @@ from typing import IO, Any, NamedTuple
 from zlib import crc32
 
 from imagination.cache import code_version, encode
-from imagination.errors import CannotWriteError, UserError, check_range, first_of, require_extra
+from imagination.errors import (
+    CannotWriteError,
+    UserError,
+    WorkerDiedError,
+    check_range,
+    first_of,
+    require_extra,
+)
 from imagination.runs import remove_parts, replacing, write_text
 from imagination.views.collector import PoseSampler, Stream, look
 from imagination.views.pool import ScenePool
@@ -102,7 +108,7 @@ def read_records(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, 
     for path in sorted(folder.glob("*.record.json")):
         try:
             record = _checked(Record(**json.loads(path.read_text())))
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, ValueError, TypeError, RecursionError) as error:
             log.warning("shards: %s cannot be read (%s); its home counts as not written", path, error)
             continue
         if different := difference(record.made_with, asked):
@@ -180,7 +186,7 @@ def write_homes(
                 home, pool = running.pop(task)
                 try:
                     problem = task.result()
-                except BrokenProcessPool:
+                except WorkerDiedError:
                     pool.close()
                     pool = ScenePool(observer, 1)
                     problem = "its process was killed, as for want of memory; try it with scale.workers=1"

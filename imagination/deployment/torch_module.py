@@ -1,6 +1,7 @@
 """Units that run on torch: checkpoints as training wrote them, and programs of torch.export."""
 
 import logging
+import os
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from torch.func import functional_call
 
 from imagination.checkpoints import Checkpoint
 from imagination.deployment.onnx_module import arrays
+from imagination.deployment.program_file import vetted
 from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
@@ -27,6 +29,9 @@ from imagination.units.unit import Unit
 
 ENTRY = "imagination.json"
 """Our description in a file of torch.export."""
+
+PLAIN_DATA = "TORCH_FORCE_WEIGHTS_ONLY_LOAD"
+"""What makes `torch.load` refuse pickles of anything else, whoever calls it."""
 
 
 class Probabilities(nn.Module):
@@ -120,14 +125,17 @@ class ExportedModule:
     """A .pt2 file of imagination.export.
 
     Raises:
-        UserError: if the file is broken or not ours.
+        UserError: if the file is broken, not ours, or holds anything that could run; see `vetted`.
     """
 
     def __init__(self, path: Path) -> None:
         extra = {ENTRY: ""}
         try:
-            with _silence():
-                program = torch.export.load(path, extra_files=extra)
+            with _safely():
+                program = torch.export.load(vetted(path), extra_files=extra)
+                self._run = program.module()
+        except UserError:
+            raise
         except Exception as error:  # torch raises whatever the broken part makes it raise
             raise UserError(
                 f"{path}: cannot be read as a program of torch.export ({error}); export it again"
@@ -135,7 +143,6 @@ class ExportedModule:
         if not extra[ENTRY]:
             raise UserError(f"{path}: was not written by imagination.export")
         self.description = Description.from_json(extra[ENTRY], str(path))
-        self._run = program.module()
 
     @torch.inference_mode()
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
@@ -143,17 +150,22 @@ class ExportedModule:
 
 
 @contextmanager
-def _silence() -> Iterator[None]:
-    """Leave out what torch warns of and logs when it reads a file: what it raises says enough."""
+def _safely() -> Iterator[None]:
+    """Let torch unpickle nothing but plain data, and leave out what it warns of and logs: what it raises says enough.
+
+    `torch.export.load` would otherwise unpickle anything as its second try.
+    """
     log = logging.getLogger("torch.export")
-    before = log.disabled
-    log.disabled = True
+    before = log.disabled, os.environ.get(PLAIN_DATA)
+    log.disabled, os.environ[PLAIN_DATA] = True, "1"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        log.disabled = before
+        log.disabled = before[0]
+        os.environ.pop(PLAIN_DATA)
+        os.environ |= {} if before[1] is None else {PLAIN_DATA: before[1]}
 
 
 def describe(config: DictConfig, chosen_thresholds: Sequence[float]) -> Description:

@@ -7,7 +7,7 @@ nav2_map_server/src/map_io.cpp).
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ import yaml
 from jaxtyping import Bool, Float64
 
 from imagination.decoding import decode
+from imagination.documents import read_yaml
 from imagination.errors import UserError, check_choice, check_range
 from imagination.geometry.grid import MAX_CELLS, Grid
 from imagination.mapping.maps import FREE, OCCUPIED, UNKNOWN, Layer, MapObject, Maps
@@ -99,7 +100,7 @@ def load_layer(path: str | Path) -> LoadedLayer:
         UserError: if a file is missing or broken, a value is missing or out of range, or the origin is turned.
     """
     path = Path(path)
-    values = _read_yaml(path)
+    values = read_yaml(path, "the keys of map_server's format")
     mode = check_choice(f"{path}: mode", str(values.get("mode", "trinary")), ("raw", "scale", "trinary"))
     try:
         image_path, negate = path.parent / str(values["image"]), bool(int(values["negate"]))
@@ -238,18 +239,6 @@ def _encoded(suffix: str, image: np.ndarray) -> bytes:
     done, data = cv2.imencode(suffix, image)
     assert done, "OpenCV writes these formats"
     return data.tobytes()
-
-
-def _read_yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        values = yaml.safe_load(path.read_text())
-    except FileNotFoundError as error:
-        raise UserError(f"{path}: there is no such file") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise UserError(f"{path}: cannot be read ({' '.join(str(error).split())})") from error
-    if not isinstance(values, dict):
-        raise UserError(f"{path}: got {values!r}, expected the keys of map_server's format")
-    return values
 
 
 def _read_shades(path: Path, mode: str) -> tuple[Float64[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:

@@ -5,12 +5,11 @@ from collections import Counter
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 from jaxtyping import Float64
 
+from imagination.documents import read_yaml
 from imagination.errors import UserError, check_range
 from imagination.geometry.pose import Pose
 from imagination.recordings.cameras import camera_of
@@ -44,7 +43,7 @@ class FolderRecording:
     def __init__(self, path: str, floor_height: float = 0.0) -> None:
         self.folder, self.floor_height = Path(path), floor_height
         self.skipped: Counter[str] = Counter()
-        values = self._read_camera()
+        values = read_yaml(self.folder / "camera.yaml", "the camera's keys")
         self.depth_scale = check_range(
             "camera.yaml: depth_scale", values.pop("depth_scale", 1000.0), 1.0, 1e6
         )
@@ -89,13 +88,3 @@ class FolderRecording:
         if self.pose_columns == PLANAR:
             return self.camera.to_world(Pose(*numbers), self.floor_height)
         return matrix_of(numbers[:3], numbers[3:])
-
-    def _read_camera(self) -> dict[str, Any]:
-        path = self.folder / "camera.yaml"
-        try:
-            values = yaml.safe_load(path.read_text())
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise UserError(f"{path}: cannot be read ({' '.join(str(error).split())})") from error
-        if not isinstance(values, dict):
-            raise UserError(f"{path}: got {values!r}, expected the camera's keys")
-        return values

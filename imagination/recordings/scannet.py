@@ -96,7 +96,7 @@ def numbered(folder: Path) -> dict[int, Path]:
     Raises:
         UserError: if there is none.
     """
-    found = {int(path.stem): path for path in folder.glob("*") if path.stem.isdigit()}
+    found = {int(path.stem): path for path in folder.glob("*") if path.stem.isdecimal()}
     if not found:
         raise UserError(
             f"{folder}: holds no file named by a number; expected color/0.jpg, depth/0.png, pose/0.txt and on"

@@ -4,6 +4,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process, resource_tracker
 from signal import SIG_BLOCK, SIG_IGN, SIG_SETMASK, SIGINT, pthread_sigmask, signal
@@ -12,7 +13,7 @@ from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import cv2
 
-from imagination.errors import check_range
+from imagination.errors import WorkerDiedError, check_range
 from imagination.views.view import Observer
 
 P = ParamSpec("P")
@@ -58,7 +59,10 @@ class ScenePool:
         if self._workers:
             owner = self._worker_of.setdefault(scene, len(self._worker_of) % len(self._workers))
             with _no_interrupt():  # the first call starts the process
-                answer = self._workers[owner].submit(_call, function, scene, args, kwargs)
+                try:
+                    answer = self._workers[owner].submit(_call, function, scene, args, kwargs)
+                except BrokenProcessPool as error:
+                    raise WorkerDiedError from error
             _leave_answers_to_the_worker(self._workers[owner])
             answer.add_done_callback(lambda done: _deliver(done, future))
         else:
@@ -106,7 +110,7 @@ def _deliver(answer: "Future[_Answer]", future: "Future[Any]") -> None:
     if error is None:
         future.set_result(answer.result().result)
     else:
-        future.set_exception(error)
+        future.set_exception(WorkerDiedError() if isinstance(error, BrokenProcessPool) else error)
 
 
 def _leave_answers_to_the_worker(worker: ProcessPoolExecutor) -> None:

@@ -12,10 +12,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from datetime import date
-from functools import partial
 from pathlib import Path
 from time import monotonic
 
@@ -59,6 +58,11 @@ EXTREMES = [
         b"_target_: os.system",
         b"!!python/object/apply:os.system [id]",
         b"&a [*a]",
+        b"!!bool x",
+        b"!!timestamp x",
+        b"2026-13-45",
+        b"[" * 3000,
+        b"9" * 5000,
         b"\t",
         b"\n",
     ),
@@ -163,7 +167,7 @@ def fuzz(parser: Parser, minutes: float) -> int:
     limit_memory()
     end, files = monotonic() + 60 * minutes, 0
     while monotonic() < end:
-        survives(parser, BURST, files, path)
+        survives(parser, BURST, 2**20 * date.today().toordinal() + files, path)  # another day, other files
         files += BURST
     return files
 
@@ -190,7 +194,9 @@ def main(words: list[str]) -> int:
     rows = {line.split()[1]: line for line in read_part("fuzz")[2:]}
     names, failed = names or list(by_name), 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for name, outcome in zip(names, pool.map(partial(apart, minutes=minutes), names), strict=True):
+        running = {pool.submit(apart, name, minutes): name for name in names}
+        for done in as_completed(running):
+            name, outcome = running[done], done.result()
             failed += outcome == FAILED
             rows[name] = f"| {name} | {date.today()} | {minutes:g} | {outcome} |"
             head = ["| parser | day | minutes | damaged files |", "|---|---|---|---|"]

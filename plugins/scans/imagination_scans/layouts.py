@@ -46,12 +46,20 @@ class Layout(Protocol):
 
 
 def split_lists(folder: Path, pattern: str) -> dict[str, Split]:
-    """Names in text files, one a line, such as scenes_train.txt; empty if there is none."""
+    """Names in text files, one a line, such as scenes_train.txt; empty if there is none.
+
+    Raises:
+        UserError: if one cannot be read.
+    """
     found: dict[str, Split] = {}
     for split in SPLITS:
         path = folder / pattern.format(split=split)
         if path.is_file():
-            for line in path.read_text().splitlines():
+            try:
+                lines = path.read_text().splitlines()
+            except (OSError, UnicodeDecodeError) as error:
+                raise UserError(f"{path}: cannot be read ({error}), expected a name a line") from error
+            for line in lines:
                 if line.strip():
                     found[line.strip()] = split
     return found
@@ -108,7 +116,7 @@ def read_ply(path: Path) -> Any:
         return PlyData.read(path)
     except PlyHeaderParseError as error:
         raise UserError(f"{path}: its header is broken: {error}, expected PLY") from error
-    except (PlyElementParseError, ValueError, OSError) as error:
+    except (PlyElementParseError, ValueError, OverflowError, MemoryError, OSError) as error:
         raise UserError(f"{path}: cannot be read as PLY: {error}") from error
 
 
@@ -123,10 +131,12 @@ def _check_counts(path: Path) -> None:
         count, values, announced = 0, 0, 0
         for number, line in enumerate(iter(lambda: file.readline(4096), b""), start=1):
             words = line.split()
+            if len(line) == 4096 and not line.endswith(b"\n"):
+                raise UserError(f"{path}, line {number}: has more than 4096 bytes, expected PLY's header")
             if words[:1] == [b"element"] and len(words) == 3:
                 if not words[2].isdigit():
                     raise UserError(
-                        f"{path}, line {number}: got {words[2].decode('latin-1')!r} elements, expected a number"
+                        f"{path}, line {number}: got {words[2].decode('latin-1')!r} elements, expected a whole number"
                     )
                 count, values, announced = int(words[2][:18]), 0, number
             elif words[:1] == [b"property"]:
@@ -229,7 +239,7 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text())
     except FileNotFoundError as error:
         raise UserError(f"{path}: there is no such file") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # of wrong syntax, wrong encoding, numbers of thousands of digits
         raise UserError(f"{path}: is no JSON: {error}") from error
     except RecursionError as error:
         raise UserError(f"{path}: is nested too deeply for its kind of file") from error

@@ -72,6 +72,8 @@ class SceneZoo:
             raise UserError(
                 f"{building}: its labels are of {labels.domain}s, expected one for each vertex or face"
             )
+        if labels.domain != "face" and len(labels.labels) != len(vertices):
+            raise UserError(f"{building}: got {len(labels.labels)} labels for {len(vertices)} vertices")
         of_face = labels.labels if labels.domain == "face" else labels.labels[faces].max(axis=1)
         if len(of_face) != len(faces):
             raise UserError(f"{building}: got {len(of_face)} labels for {len(faces)} faces")

@@ -1,7 +1,9 @@
 """Parsers of messages from the network, by their type."""
 
+from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from imagination import plugins
@@ -13,8 +15,10 @@ if find_spec("rosbags") is not None:  # an optional extra
     plugins.activate()
     from imagination_ros.codec import Codec
 
+    from imagination.recordings.images import COMPRESSED_DEPTH_HEADER
+    from imagination.recordings.ros_messages import COMPRESSED, IMAGE, colour_of, depth_of
     from tests.robot import ROS2, Messages, spoken
-    from tests.robustness.parsers.recordings import CAMERA, frames, images
+    from tests.robustness.parsers.recordings import CAMERA, depths, frames, images
 
     @cache
     def codec() -> Codec:
@@ -36,4 +40,37 @@ if find_spec("rosbags") is not None:  # an optional extra
             lambda: [codec().encode(message, of) for of, message in heard() if of == kind],
         )
 
+    def image_of(kind: str, read: Callable[[Any], object]) -> Callable[[Path], object]:
+        """What decodes a message and the image in it."""
+        return lambda path: read(codec().decode(path.read_bytes(), kind))
+
+    def raw_images(*encodings: str) -> list[bytes]:
+        """Messages of images as they are."""
+        return [
+            codec().encode(message, IMAGE)
+            for of, message in heard()
+            if of == IMAGE and message.encoding in encodings
+        ]
+
+    def compressed(format: str, contents: list[bytes], header: bytes = b"") -> list[bytes]:
+        """Messages of compressed images."""
+        messages, stamp = Messages(ROS2), frames()[0].stamp
+        made = [messages.compressed(stamp, "camera", format, header + content) for content in contents]
+        return [codec().encode(message, COMPRESSED) for message in made]
+
+    def compressed_depths() -> list[bytes]:
+        """With the header of their transport and without."""
+        header = COMPRESSED_DEPTH_HEADER.pack(0, 1000.0, 0.5)
+        kinds = [f"{kind}; compressedDepth png" for kind in ("16UC1", "32FC1")]
+        return [
+            *compressed("png", depths()),
+            *(each for kind in kinds for each in compressed(kind, depths(), header)),
+        ]
+
+    PARSERS += [
+        Parser("ros-colour", image_of(IMAGE, colour_of), lambda: raw_images("rgb8", "bgr8")),
+        Parser("ros-depth", image_of(IMAGE, depth_of), lambda: raw_images("16UC1", "32FC1")),
+        Parser("ros-compressed-colour", image_of(COMPRESSED, colour_of), lambda: compressed("png", images())),
+        Parser("ros-compressed-depth", image_of(COMPRESSED, depth_of), compressed_depths),
+    ]
     PARSERS += [Parser(f"cdr-{kind.rpartition('/')[2]}", *decoded(kind)) for kind in dict(heard())]

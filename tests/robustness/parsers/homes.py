@@ -30,6 +30,13 @@ def catalogue(path: Path) -> object:
     return read_catalogue(path)
 
 
+def archive(path: Path) -> object:
+    """Read a catalogue with its names in all languages."""
+    from imagination_sweethome3d.catalogue import names_in_all_languages, read_catalogue
+
+    return read_catalogue(path), names_in_all_languages(path)
+
+
 def model(path: Path) -> object:
     """Read and fit a model."""
     from imagination_sweethome3d.archives import opened
@@ -43,26 +50,30 @@ def model(path: Path) -> object:
 def files() -> dict[str, list[bytes]]:
     """Valid files of each kind."""
     with tempfile.TemporaryDirectory() as folder:
-        archive = sweet_home.write_catalogue(Path(folder) / "a.sh3f").read_bytes()
+        packed = sweet_home.write_catalogue(Path(folder) / "a.sh3f").read_bytes()
         whole = sweet_home.write_home(Path(folder) / "a.sh3d").read_bytes()
-    picture = io.BytesIO()
-    Image.new("RGB", (4, 4), (200, 100, 0)).save(picture, "PNG")
+    pictures = [io.BytesIO() for _ in FORMATS]
+    for picture, kind in zip(pictures, FORMATS, strict=True):
+        Image.new("RGB", (4, 4), (200, 100, 0)).save(picture, kind)
     parts = sweet_home.obj(sweet_home.CHAIR).encode(), sweet_home.MATERIALS.encode() + b"map_Kd p.png\n"
-    with zipfile.ZipFile(io.BytesIO(archive)) as file:
+    with zipfile.ZipFile(io.BytesIO(packed)) as file:
         rows = file.read(ROWS)
     return {
         "plan": [sweet_home.home_xml(sweet_home.furnished()).encode()],
         "rows": [rows],
-        "model": [SPLIT.join([*parts, picture.getvalue()])],
-        "archive": [whole],
+        "model": [SPLIT.join([*parts, picture.getvalue()]) for picture in pictures],
+        "home": [whole],
+        "catalogue": [packed],
     }
 
 
 ROWS = "PluginFurnitureCatalog.properties"
+FORMATS = "PNG", "JPEG", "GIF", "BMP"
 
 PARSERS = [
-    Parser("sh3d", home, lambda: files()["archive"]),
+    Parser("sh3d", home, lambda: files()["home"]),
     Parser("sh3d-plan", within(["Home.xml"], "a.zip", home), lambda: files()["plan"]),
+    Parser("sh3f", archive, lambda: files()["catalogue"]),
     Parser("sh3f-rows", within([ROWS], "a.zip", catalogue), lambda: files()["rows"]),
     Parser("obj", within(["m.obj", "model.mtl", "p.png"], "a.zip", model), lambda: files()["model"]),
 ]

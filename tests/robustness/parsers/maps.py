@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from imagination.geometry.grid import Grid
@@ -28,11 +29,21 @@ def load_objects(folder: Path) -> object:
     return files.load_objects(folder / files.OBJECTS)
 
 
+def images() -> list[bytes]:
+    """Of a map, in the other formats that map_server knows."""
+    shades = np.full((20, 20), 254, np.uint8)
+    shades[4:12, 5:9] = 0
+    seen = np.where(shades > 0, 255, 0).astype(np.uint8)
+    kinds = (".png", shades), (".bmp", shades), (".png", cv2.merge([shades, shades, shades, seen]))
+    return [cv2.imencode(suffix, image)[1].tobytes() for suffix, image in kinds]
+
+
 MAP = kept(save)
 
 PARSERS = [
     Parser("map-map.yaml", *exchanged(MAP, "map.yaml", load_layer)),
     Parser("map-map.pgm", *exchanged(MAP, "map.pgm", load_layer)),
+    Parser("map-image", exchanged(MAP, "map.pgm", load_layer)[0], images),
     Parser("map-semantic.npz", *exchanged(MAP, files.SEMANTIC, files.load_maps)),
     Parser("map-semantic-resealed", *resealed(*exchanged(MAP, files.SEMANTIC, files.load_maps))),
     Parser("map-objects.geojson", *exchanged(MAP, files.OBJECTS, load_objects)),

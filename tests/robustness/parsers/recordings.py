@@ -56,6 +56,7 @@ def record_scannet(folder: Path) -> None:
         (folder / name).mkdir(parents=True)
     for name in ("color", "depth"):
         np.savetxt(folder / "intrinsic" / f"intrinsic_{name}.txt", Intrinsics.of(CAMERA).matrix)
+        np.savetxt(folder / "intrinsic" / f"extrinsic_{name}.txt", np.eye(4))
     for number, frame in enumerate(frames()):
         cv2.imwrite(str(folder / "color" / f"{number}.png"), frame.rgb)
         cv2.imwrite(str(folder / "depth" / f"{number}.png"), raw(frame.depth, 1000))
@@ -68,10 +69,17 @@ def images() -> list[bytes]:
     return [cv2.imencode(suffix, picture)[1].tobytes() for suffix in (".png", ".jpg")]
 
 
+def depths() -> list[bytes]:
+    """A depth image as it may lie in a recording."""
+    return [cv2.imencode(".png", raw(frames()[0].depth, 1000))[1].tobytes()]
+
+
 TUM = kept(lambda folder: record_tum(folder, frames(), CAMERA))
 SCANNET = kept(record_scannet)
 FOLDER = kept(lambda folder: record_folder(folder, frames(), CAMERA))
-BAG_FOLDER = kept(lambda folder: record_bag(folder, frames(), CAMERA, "sqlite3"))
+SQLITE3, MCAP = (
+    kept(partial(record_bag, frames=frames(), camera=CAMERA, kind=kind)) for kind in ("sqlite3", "mcap")
+)
 
 tum = frames_of(lambda folder: TumRecording(str(folder), RgbdCamera.of(CAMERA), 5000.0, 0.02, 0.5))
 scannet = frames_of(lambda folder: ScanNetRecording(str(folder), 1000.0, 30.0))
@@ -79,14 +87,21 @@ plain = frames_of(lambda folder: FolderRecording(str(folder)))
 
 PARSERS = [
     *(Parser(f"bag-{kind}", *bag(kind)) for kind in ("mcap", "sqlite3", "ros1")),
-    Parser("bag-metadata.yaml", *exchanged(BAG_FOLDER, "metadata.yaml", frames_of(partial(open_bag, "")))),
+    *(
+        Parser(f"bag-metadata-{kind}", *exchanged(made, "metadata.yaml", frames_of(partial(open_bag, ""))))
+        for kind, made in (("sqlite3", SQLITE3), ("mcap", MCAP))
+    ),
     *(Parser(f"tum-{name}", *exchanged(TUM, f"{name}.txt", tum)) for name in ("rgb", "depth", "groundtruth")),
     Parser("tum-image", exchanged(TUM, f"rgb/{seconds(frames()[2].stamp)}.png", tum)[0], images),
+    Parser("tum-depth-image", exchanged(TUM, f"depth/{seconds(frames()[2].stamp)}.png", tum)[0], depths),
     Parser("scannet-pose", *exchanged(SCANNET, "pose/2.txt", scannet)),
     Parser("scannet-intrinsic", *exchanged(SCANNET, "intrinsic/intrinsic_color.txt", scannet)),
+    Parser("scannet-extrinsic", *exchanged(SCANNET, "intrinsic/extrinsic_depth.txt", scannet)),
+    Parser("scannet-color", exchanged(SCANNET, "color/2.png", scannet)[0], images),
     Parser("scannet-depth", *exchanged(SCANNET, "depth/2.png", scannet)),
     *(
         Parser(f"folder-{name}", *exchanged(FOLDER, name, plain))
         for name in ("camera.yaml", "frames.csv", "d2.npy")
     ),
+    Parser("folder-image", exchanged(FOLDER, "c2.png", plain)[0], images),
 ]

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from imagination import members
 from imagination.evaluation import style
 from imagination.members import FILE
 from imagination.report import read
@@ -94,5 +95,6 @@ PARSERS = [
     Parser("results-curves", *exchanged(RESULTS, EVENTS, report("curve"))),
     Parser("sweep-config.yaml", *exchanged(SWEEP, "1/config.yaml", sweep)),
     Parser("sweep-members.csv", *exchanged(SWEEP, FILE, sweep)),
+    Parser("sweep-resumed", *exchanged(SWEEP, FILE, members.read)),
     Parser("sweep-multirun.yaml", *exchanged(SWEEP, "multirun.yaml", sweep)),
 ]

@@ -1,6 +1,7 @@
 """Parsers of what training leaves: configs, checkpoints, the cache."""
 
 import hashlib
+import shutil
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -12,6 +13,7 @@ from omegaconf import OmegaConf
 from imagination.cache import MAGIC, DamagedError, decode, encode
 from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint
 from imagination.config import compose
+from imagination.plugins import Plugin, _examine, check
 from imagination.resume import END, _read
 from tests.robustness.parsers.parser import Parser, resealed
 
@@ -60,8 +62,17 @@ def config_of(path: Path) -> object:
     return Checkpoint.read(path).config
 
 
+def plugin(path: Path) -> str:
+    """Look at a plugin with such a config."""
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copyfile(path, Path(folder) / "a.yaml")
+        found = Plugin("p", "here", conf=Path(folder))
+        return _examine(found, {}, {}) or check(found)
+
+
 PARSERS = [
     Parser("config", _read, configs),
+    Parser("plugin-conf", plugin, lambda: [b"_target_: imagination.errors.UserError\nkey: [1, 2.5, a]\n"]),
     Parser("checkpoint", config_of, checkpoints),
     Parser("checkpoint-resealed", *resealed(config_of, checkpoints)),
     Parser("cache", lambda path: decode(path.read_bytes()), entries, (DamagedError,)),

@@ -1,6 +1,9 @@
 """Parsers of scanned buildings."""
 
+import shutil
 from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from imagination import plugins
 from tests.robustness.parsers.parser import Parser, exchanged, kept
@@ -10,7 +13,7 @@ PARSERS: list[Parser] = []
 if find_spec("plyfile") is not None and find_spec("trimesh") is not None:  # an optional extra
     plugins.activate()
     from imagination_scans.hm3d import HM3D
-    from imagination_scans.layouts import Layout
+    from imagination_scans.layouts import Layout, split_lists
     from imagination_scans.matterport3d import Matterport3D
     from imagination_scans.replica import Replica
 
@@ -27,6 +30,13 @@ if find_spec("plyfile") is not None and find_spec("trimesh") is not None:  # an 
             for end in endings
         ]
 
+    def lists(path: Path) -> object:
+        """Read the list of a split."""
+        with TemporaryDirectory() as folder:
+            shutil.copyfile(path, Path(folder) / "scenes_train.txt")
+            return split_lists(Path(folder), "scenes_{split}.txt")
+
+    PARSERS.append(Parser("scan-lists", lists, lambda: [b"17DRP5sb8fy\n1LXtFkjw3qL\n"]))
     HOUSE = "17DRP5sb8fy/house_segmentations/17DRP5sb8fy"
     PARSERS += scan("matterport", Matterport3D(), HOUSE, ".house", [".house", ".ply"])
     ROOM = "room_0/habitat/"

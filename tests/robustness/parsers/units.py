@@ -96,6 +96,7 @@ PARSERS = [
     Parser("ade20k-encoder", *exchanged(WEIGHTS, "encoder_epoch_30.pth", filled)),
     Parser("ade20k-encoder-resealed", *resealed(*exchanged(WEIGHTS, "encoder_epoch_30.pth", filled))),
     Parser("ade20k-decoder", *exchanged(WEIGHTS, "decoder_epoch_30.pth", filled)),
+    Parser("ade20k-decoder-resealed", *resealed(*exchanged(WEIGHTS, "decoder_epoch_30.pth", filled))),
     Parser("pt2", *exchanged(PROGRAM, "unit.pt2", asked("unit.pt2"))),
     Parser("pt2-resealed", *resealed(*exchanged(PROGRAM, "unit.pt2", asked("unit.pt2")))),
     Parser(
