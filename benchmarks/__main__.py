@@ -27,6 +27,7 @@ SECTIONS = tuple("startup rendering truth maps buffer training gpu distributed e
 WITH_PROCESSES = {"startup", "rendering", "distributed", "shards"}
 """Sections that measure processes which they start."""
 
+TITLES = {"gpu": "GPU"}
 LIBRARIES = ("torch", "lightning", "numpy", "numba", "embreex", "opencv-python-headless", "timm")
 FOLDER = Path(__file__).parent
 
@@ -36,8 +37,8 @@ Made {made}. The sections took {minutes:.1f} minutes together.
 
 Medians, in turns with what they are compared to, unless a note says otherwise. *Of the limit* says how near a figure is
 to what this machine could do at best, measured in the same run: 100 % is there. *Times as fast* compares with another
-way to the same result, re-implemented in vectorised torch on the same thread (`benchmarks/rivals.py`, equal outputs
-checked before timing).
+way to the same result: another setting, or a peer's way re-implemented in vectorised torch on the same thread
+(`benchmarks/rivals.py`, equal outputs checked before timing).
 """
 
 
@@ -72,7 +73,10 @@ def write(folder: Path, section: str, result: dict[str, Any]) -> None:
     """Put a section's result in the place of its earlier one, beside those of the others."""
     path = folder / "results.json"
     sections = json.loads(path.read_text())["sections"] if path.is_file() else {}
-    sections[section] = result
+    if section in sections and all(figure["value"] is None for figure in result["figures"]):
+        print(f"{section}: not measured here, the figures of another machine stay", file=sys.stderr)
+    else:
+        sections[section] = result
     sections = {name: sections[name] for name in SECTIONS if name in sections}
     path.write_text(json.dumps({"sections": sections}, indent=1) + "\n")
     (folder / "results.md").write_text(page(sections))
@@ -95,7 +99,7 @@ def page(sections: dict[str, Any]) -> str:
         if own := [each for each in how if each not in common]:
             about.insert(0, f"made {', '.join(own)}")
         told = "; ".join(about)
-        parts.append(f"## {section.capitalize()}\n\n{told[0].upper()}{told[1:]}.\n")
+        parts.append(f"## {TITLES.get(section, section.capitalize())}\n\n{told[0].upper()}{told[1:]}.\n")
         parts.append("| what | median | beside | ratio | target |\n|---|---|---|---|---|")
         parts += [row(Figure(**each)) for each in result["figures"]]
         parts += ["", *notes(result), ""]

@@ -15,6 +15,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.measure import Figure, medians, unmeasured
 from benchmarks.subjects import SEED, config
 from imagination.baselines.training import SegmentationTraining
+from imagination.geometry.grid import cells_of
 
 EXPERIMENTS = {
     "unit, resnet18, unet": "chair_unet",
@@ -45,16 +46,15 @@ def as_in_training() -> None:
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     torch.use_deterministic_algorithms(True, warn_only=True)
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
-    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32  # the product as convolutions
 
 
 def step_figures(folder: str, name: str, kind: str) -> list[Figure]:
     """Speed and memory of one network's step in one precision."""
-    size = config(folder, "scale=paper").scale.batch_size
+    what = f"training step, {name}, {kind}"
     for parts in PARTS:
         step: Callable[[], None] | None = None  # so that the memory of the last one is free
         try:
-            step = training_step(folder, EXPERIMENTS[name], kind, parts)
+            step, size = training_step(folder, EXPERIMENTS[name], kind, parts)
             with FlopCounterMode(display=False) as counter:
                 step()
             torch.cuda.reset_peak_memory_stats()
@@ -62,8 +62,10 @@ def step_figures(folder: str, name: str, kind: str) -> list[Figure]:
         except torch.OutOfMemoryError:
             torch.cuda.empty_cache()
             continue
+        except RuntimeError as error:  # a type that the GPU does not compute
+            return [unmeasured(what, str(error).splitlines()[0])]
         memory = torch.cuda.max_memory_allocated() / 1e9
-        what = f"training step, {name}, {kind}, batch of {size}" + (f" in {parts} parts" if parts > 1 else "")
+        what += f", batch of {size}" + (f" in {parts} parts" if parts > 1 else "")
         flops = counter.get_total_flops()
         return [
             Figure(
@@ -75,15 +77,18 @@ def step_figures(folder: str, name: str, kind: str) -> list[Figure]:
             ),
             Figure(f"{what}: peak memory", memory, "GB"),
         ]
-    return [unmeasured(f"{name}, {kind}", f"{size // PARTS[-1]} views do not fit into this GPU's memory")]
+    return [unmeasured(what, f"a batch in {PARTS[-1]} parts does not fit into this GPU's memory")]
 
 
 def product(kind: str) -> Callable[[], None]:
-    """A plain matrix product of the type that the step computes in, waited for."""
+    """A plain matrix product of the type that the step's convolutions compute in, waited for."""
     one, other = (torch.randn(SIDE, SIDE, device="cuda", dtype=KINDS[kind]) for _ in range(2))
 
     def multiply() -> None:
+        before = torch.backends.cuda.matmul.allow_tf32
+        torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32
         one @ other
+        torch.backends.cuda.matmul.allow_tf32 = before
         torch.cuda.synchronize()
 
     return multiply
@@ -91,38 +96,51 @@ def product(kind: str) -> Callable[[], None]:
 
 def compiled_figure(folder: str, kind: str) -> Figure:
     """What torch.compile changes of the unit's step, in turns with it."""
-    size = config(folder, "scale=paper").scale.batch_size
-    steps = {
-        name: training_step(folder, "chair_unet", kind, 1, f"model.module.compile={name == 'compiled'}")
-        for name in ("compiled", "default")
-    }
-    times = medians(steps, 5.0, 3)
     what = f"training step, unit, resnet18, unet, {kind}, with torch.compile"
-    return Figure(what, size / times["compiled"], "samples/s", size / times["default"], "as configured")
+    try:
+        (compiled, size), (default, _) = (
+            training_step(folder, "chair_unet", kind, 1, "scale=paper", f"model.module.compile={on}")
+            for on in ("true", "false")
+        )
+        times = medians({"compiled": compiled, "default": default}, 5.0, 3)
+    except RuntimeError as error:  # of memory, of a missing compiler
+        return unmeasured(what, str(error).splitlines()[0])
+    return Figure(
+        what, size / times["compiled"], "samples/s", size / times["default"], "as configured", rival=True
+    )
 
 
-def training_step(folder: str, experiment: str, kind: str, parts: int, *overrides: str) -> Callable[[], None]:
-    """One step as configured (forward, loss, backward, optimiser), waited for; of random views."""
+def training_step(
+    folder: str,
+    experiment: str,
+    kind: str,
+    parts: int,
+    *overrides: str,
+    device: str = "cuda",
+) -> tuple[Callable[[], None], int]:
+    """One step as configured (forward, loss, backward, optimiser), waited for, and its number of (random) views."""
     torch.manual_seed(SEED)
-    paper = config(folder, "scale=paper", *overrides, experiment=experiment)
-    module: LightningModule = instantiate(paper.model.module).cuda()
-    if paper.model.module.get("compile"):
+    run = config(folder, *(overrides or ("scale=paper",)), experiment=experiment)
+    module: LightningModule = instantiate(run.model.module).to(device)
+    if run.model.module.get("compile"):
         module.unit.compile()
     optimizer = module.optimizer(module.parameters())
-    size = paper.scale.batch_size // parts
-    cells = round(paper.scale.ego_extent / paper.scale.resolution)
-    batch = random_batch(size, paper.scale.image, cells, len(paper.unit_categories))
+    cells = cells_of(run.scale.ego_extent, run.scale.resolution)
+    batch = random_batch(
+        run.scale.batch_size // parts, run.scale.image, cells, len(run.unit_categories), device
+    )
 
     def step() -> None:
         optimizer.zero_grad()
         for _ in range(parts):
-            with torch.autocast("cuda", torch.bfloat16, enabled=kind == "bf16-mixed"):
+            with torch.autocast(device, torch.bfloat16, enabled=kind == "bf16-mixed"):
                 loss = loss_of(module, batch)
             loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-        torch.cuda.synchronize()
+        if device == "cuda":
+            torch.cuda.synchronize()
 
-    return step
+    return step, run.scale.batch_size // parts * parts
 
 
 def loss_of(module: LightningModule, batch: dict[str, Tensor]) -> Tensor:
@@ -133,19 +151,19 @@ def loss_of(module: LightningModule, batch: dict[str, Tensor]) -> Tensor:
     return loss
 
 
-def random_batch(views: int, image: int, cells: int, categories: int) -> dict[str, Tensor]:
+def random_batch(views: int, image: int, cells: int, categories: int, device: str) -> dict[str, Tensor]:
     """Of the sizes and types that the datamodule delivers; a step takes as long on any content."""
-    draw = torch.Generator("cuda").manual_seed(SEED)
+    draw = torch.Generator(device).manual_seed(SEED)
 
     def integers(most: int, *shape: int) -> Tensor:
-        return torch.randint(0, most, (views, *shape), generator=draw, device="cuda", dtype=torch.uint8)
+        return torch.randint(0, most, (views, *shape), generator=draw, device=device, dtype=torch.uint8)
 
     return {
         "rgb": integers(256, 3, image, image).contiguous(memory_format=torch.channels_last),
-        "depth": 5 * torch.rand(views, 1, image, image, generator=draw, device="cuda").half(),
+        "depth": 5 * torch.rand(views, 1, image, image, generator=draw, device=device).half(),
         "occupied": integers(2, 1, cells, cells),
         "seen": integers(2, 1, cells, cells),
         "label": integers(2, categories, cells, cells),
-        "neighbourhood": torch.ones(views, categories, cells, cells, device="cuda", dtype=torch.uint8),
+        "neighbourhood": torch.ones(views, categories, cells, cells, device=device, dtype=torch.uint8),
         "segmentation": integers(1 + categories, image, image),
     }

@@ -139,6 +139,7 @@ def rounds(
             "samples/s",
             speed,
             "its step alone",
+            rival=True,
             note=f"{count - 2} rounds of {samples} samples after a first one, {run.scale.workers} processes render "
             "meanwhile; the step alone was measured before",
         ),
@@ -234,7 +235,7 @@ def engineering(folder: str, kind: str, batch: Batch, default: Callable[[], None
             continue
         size = len(batch["rgb"])
         speed, configured = size / times["step"], size / times["default"]
-        figures.append(Figure(what, speed, "samples/s", configured, "as configured"))
+        figures.append(Figure(what, speed, "samples/s", configured, "as configured", rival=True))
     return figures
 
 

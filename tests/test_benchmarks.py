@@ -1,5 +1,6 @@
 """What benchmarks write: a section at a time, with what could not be measured; what scaling concludes from them."""
 
+import inspect
 import json
 import sys
 from collections.abc import Callable, Mapping
@@ -11,11 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 
 from benchmarks import __main__ as command
-from benchmarks import buffer, maps, scaling, startup
+from benchmarks import buffer, gpu, maps, scaling, startup
 from benchmarks.measure import Figure, unmeasured
 from benchmarks.scaling import Costs, Results, exchange, first_saturated, predicted, sizes
 from benchmarks.subjects import config
@@ -71,6 +73,31 @@ def test_each_section_tells_what_it_alone_was_made_with(tmp_path: Path) -> None:
     assert (
         page.count("by `python -m benchmarks`") == 1 and "by `python -m benchmarks`" in page.split("## ")[0]
     )
+
+
+def test_figures_of_another_machine_stay_where_there_are_none_here(tmp_path: Path) -> None:
+    command.write(tmp_path, "gpu", result(Figure("a step", 5.0, "samples/s"), hardware="a GPU"))
+    command.write(tmp_path, "gpu", result(unmeasured("a step", "no GPU")))
+    assert "| a step | 5 samples/s |" in (tmp_path / "results.md").read_text()
+    command.write(tmp_path, "gpu", result(Figure("a step", 6.0, "samples/s"), unmeasured("b", "no compiler")))
+    assert (
+        "| a step | 6 samples/s |" in (page := (tmp_path / "results.md").read_text())
+        and "no compiler" in page
+    )
+
+
+@pytest.mark.parametrize("experiment", gpu.EXPERIMENTS.values())
+@pytest.mark.parametrize("kind", gpu.KINDS)
+def test_a_gpus_steps_train(tmp_path: Path, experiment: str, kind: str) -> None:
+    step, size = gpu.training_step(
+        str(tmp_path), experiment, kind, 2, "scale=test", "scale.batch_size=4", device="cpu"
+    )
+    trained = inspect.getclosurevars(step).nonlocals["module"]
+    before = [weights.detach().clone() for weights in trained.parameters()]
+    step()
+    assert size == 4
+    changed = [not torch.equal(*pair) for pair in zip(before, trained.parameters(), strict=True)]
+    assert sum(changed) > len(changed) / 2
 
 
 def test_what_is_not_measured_is_told(
