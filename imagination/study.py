@@ -39,7 +39,8 @@ BESIDE = (*EVALUATION_ONLY, "choices", "ckpt_path", "resume")
 """Nodes of a run's config that do not decide what its training makes."""
 
 SEGMENTATION = tuple(
-    f"scale.hrnet{of}" for of in ("", "_rounds", "_most_rounds", "_final_learning_rate", "_eval_every")
+    f"scale.hrnet{of}"
+    for of in ("", "_accumulate", "_rounds", "_most_rounds", "_final_learning_rate", "_eval_every")
 )
 """Nodes that only first-person segmentation reads."""
 
