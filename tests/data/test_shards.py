@@ -257,6 +257,33 @@ def test_a_corpus_behind_a_url_may_grow(corpus: Path, tmp_path: Path) -> None:
     assert same(grown.read("train_5", 0), opened(folder).read("train_5", 0))
 
 
+@pytest.mark.slow
+def test_a_corpus_is_read_from_an_s3_server(
+    corpus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the package moto[server], where it is installed."""
+    server = pytest.importorskip("moto.server").ThreadedMotoServer(port=0)
+    server.start()
+    try:
+        address, port = server.get_host_and_port()
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{address}:{port}")
+        for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+            monkeypatch.setenv(name, "made up")
+        monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+        client = pytest.importorskip("boto3").client("s3")
+        client.create_bucket(Bucket="bucket")
+        for path in corpus.iterdir():
+            client.upload_file(str(path), "bucket", f"views/{path.name}")
+        fetched = Shards("s3://bucket/views", str(tmp_path / "kept"), 1.0)
+        assert fetched.homes == opened(corpus).homes
+        for home in HOMES:
+            assert same(fetched.read(home, 3), opened(corpus).read(home, 3))
+        with pytest.raises(UserError, match="s3://bucket/nothing cannot be fetched"):
+            Shards("s3://bucket/nothing", str(tmp_path / "none"), 1.0)
+    finally:
+        server.stop()
+
+
 @pytest.mark.parametrize("url", ["s3://", "local:///nowhere/at/all"])
 def test_a_url_that_cannot_be_fetched_is_told(
     tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
