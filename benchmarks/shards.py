@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from statistics import mean, median
 from time import perf_counter
@@ -13,7 +15,7 @@ from benchmarks.measure import Figure, copying, medians
 from benchmarks.subjects import SEED, config, observer
 from benchmarks.truth import tracing
 from imagination.data import corpus as corpora
-from imagination.data.corpus import Recipe
+from imagination.data.corpus import Recipe, chunk_name
 from imagination.data.datamodule import count_truth
 from imagination.data.shards import Shards
 from imagination.errors import require_extra
@@ -51,6 +53,10 @@ def run(folder: str) -> list[Figure]:
         speed = in_turns({**render, "written 1": write(1), "written 2": write(2)})
         corpora.write_index(folders[1], watchers[1], recipe)
         speed |= in_turns({"read 1": read(1), "read 2": read(2), "copied": copied(folders[1], homes[0])})
+        cold = {"read cold": first_reading, "bare": bare_reading}
+        speed |= in_turns(
+            {name: partial(rate, pools[1], 1, task, homes, folders[1]) for name, task in cold.items()}
+        )
     finally:
         for pool in pools.values():
             pool.close()
@@ -99,6 +105,14 @@ def figures_of(truth: float, traced: float, speed: Mapping[str, float], size: fl
             "views/s",
             2 * speed["read 1"],
             "twice 1 process",
+        ),
+        Figure(
+            "views read by 1 process, chunks on disk",
+            speed["read cold"],
+            "views/s",
+            speed["bare"],
+            "reading the file alone",
+            note="the system was told to forget the chunk before; what its disk or host keeps of it is not known",
         ),
     ]
 
@@ -154,6 +168,31 @@ def reading(_: Observer, home: str, corpus: Path) -> float:
         for number in range(read.homes[home]):
             read.read(home, number)
     return (perf_counter() - start) / (LAPS * VIEWS)
+
+
+def first_reading(_: Observer, home: str, corpus: Path) -> float:
+    """Seconds a view to read a home's from disk; runs in a worker process."""
+    read = Shards(str(corpus), "", 1.0)
+    forget(corpus / chunk_name(home))
+    start = perf_counter()
+    for number in range(read.homes[home]):
+        read.read(home, number)
+    return (perf_counter() - start) / VIEWS
+
+
+def bare_reading(_: Observer, home: str, corpus: Path) -> float:
+    """Seconds a view to read a home's chunk from disk, nothing decoded; runs in a worker process."""
+    forget(corpus / chunk_name(home))
+    start = perf_counter()
+    (corpus / chunk_name(home)).read_bytes()
+    return (perf_counter() - start) / VIEWS
+
+
+def forget(path: Path) -> None:
+    """Let the system's page cache drop a file."""
+    with path.open("rb") as file:
+        os.fsync(file)
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
 
 def copied(corpus: Path, home: str) -> Callable[[], float]:

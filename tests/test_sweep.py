@@ -61,6 +61,16 @@ def test_a_killed_member_counts_as_stopped(tmp_path: Path) -> None:
 def test_a_folder_that_is_no_sweep_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="holds no members.csv"):
         members.read(tmp_path)
+    head = ",".join(members.Member._fields)
+    for text, told in (
+        (b"folder,key\n0,a\n", "its columns are not folder,key,state"),
+        (f"{head}\n0,a,done\n".encode(), "missing 3 required positional arguments"),
+        (f"{head}\n../../x,a,running,,,\n".encode(), "got the folder '../../x', expected a number"),
+        (b"\xff\xfe", "can't decode"),
+    ):
+        (tmp_path / members.FILE).write_bytes(text)
+        with pytest.raises(UserError, match=rf"members.csv: cannot be read .*{told}"):
+            members.read(tmp_path)
 
 
 def test_a_key_is_of_what_is_computed() -> None:

@@ -686,6 +686,10 @@ def test_broken_folders_are_refused(tmp_path: Path) -> None:
         tum(tmp_path)
     with pytest.raises(UserError, match=r"camera.yaml: there is no such file"):
         FolderRecording(str(tmp_path))
+    for text in ("a: 2026-13-45", "a: !!bool x", "a: " + 5000 * "9", 3000 * "["):
+        (tmp_path / "camera.yaml").write_text(text)
+        with pytest.raises(UserError, match=r"camera.yaml: cannot be read"):
+            FolderRecording(str(tmp_path))
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump({"colour": {"width": 24}}))
     with pytest.raises(UserError, match="holds a value that cannot be read"):
         FolderRecording(str(tmp_path))

@@ -326,6 +326,7 @@ def triangle(header: str, row: str) -> bytes:
     [
         (ascii_ply("element vertex two"), "line 3: got 'two' elements"),
         (ascii_ply(f"element vertex -1440|{XYZ}"), "line 3: got '-1440' elements"),
+        (ascii_ply("comment " + "x" * 5000 + "|element face 1000000000"), "line 3: has more than 4096 bytes"),
         (b"nothing", "header is broken"),
         (ascii_ply("element vertex 0|property float x"), "has no y"),
         (ascii_ply(f"element vertex 1000000000000|{XYZ}"), "line 3: announces 1000000000000 elements"),
@@ -350,6 +351,13 @@ def test_a_malformed_mesh_is_told(tmp_path: Path, content: bytes, told: str) -> 
     with pytest.raises(UserError, match=told) as error:
         read(tmp_path, "matterport3d").scenes("train")
     assert str(house.with_suffix(".ply")) in str(error.value)
+
+
+def test_a_list_that_is_no_text_is_told(tmp_path: Path) -> None:
+    write_matterport(tmp_path)
+    (tmp_path / "scenes_train.txt").write_text("17DRP5sb8fy", encoding="utf-16")
+    with pytest.raises(UserError, match="scenes_train.txt: cannot be read .*, expected a name a line"):
+        read(tmp_path, "matterport3d").scenes("train")
 
 
 def test_a_truncated_mesh_and_wrong_numbers_are_told(tmp_path: Path) -> None:
