@@ -79,11 +79,18 @@ def activate() -> list[Plugin]:
 
 
 def provided(group: str) -> Iterator[tuple[str, str, str]]:
-    """What sound plugins put into a folder of their conf trees: plugin, name of the file, its `_target_`."""
+    """What sound plugins put into a folder of their conf trees: plugin, name of the file, its `_target_`.
+
+    Raises:
+        UserError: if a file names no target.
+    """
     for plugin in activate():
         assert plugin.conf is not None
         for path in sorted((plugin.conf / group).glob("*.yaml")):
-            yield plugin.name, path.stem, str(yaml.safe_load(path.read_text())["_target_"])
+            content = yaml.safe_load(path.read_text())
+            if not isinstance(content, dict) or not isinstance(content.get("_target_"), str):
+                raise UserError(f"{path}: got no _target_, expected the function that provides {path.stem}")
+            yield plugin.name, path.stem, content["_target_"]
 
 
 def check(plugin: Plugin) -> str:

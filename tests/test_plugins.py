@@ -37,6 +37,8 @@ def test_a_folder_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     [
         ({"readme": "x"}, "no config found in"),
         ({"conf__model__mine": "a: [1"}, r"model/mine.yaml cannot be read"),
+        ({"conf__model__mine": "a: 2026-13-45"}, r"model/mine.yaml cannot be read"),
+        ({"conf__model__mine": "a: !!bool x"}, r"model/mine.yaml cannot be read"),
         ({"conf__scale__desk": "a: 1"}, "'scale/desk' exists already in the core"),
     ],
 )
@@ -48,6 +50,13 @@ def test_a_broken_folder_is_left_out(
     both = found(tmp_path, monkeypatch)
     assert told in both["broken"].problem
     assert both["sound"].problem == ""
+
+
+def test_what_provides_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make(tmp_path / "plugins" / "mine", conf__assets__mine="a: 1")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match="assets/mine.yaml: got no _target_"):
+        list(plugins.provided("assets"))
 
 
 def test_two_plugins_may_not_add_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
