@@ -73,7 +73,8 @@ def write(folder: Path, section: str, result: dict[str, Any]) -> None:
     """Put a section's result in the place of its earlier one, beside those of the others."""
     path = folder / "results.json"
     sections = json.loads(path.read_text())["sections"] if path.is_file() else {}
-    if section in sections and all(figure["value"] is None for figure in result["figures"]):
+    elsewhere = sections.get(section, result)["hardware"] != result["hardware"]
+    if elsewhere and all(figure["value"] is None for figure in result["figures"]):
         print(f"{section}: not measured here, the figures of another machine stay", file=sys.stderr)
     else:
         sections[section] = result

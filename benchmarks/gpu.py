@@ -10,6 +10,7 @@ import torch.utils.deterministic
 from hydra.utils import instantiate
 from lightning import LightningModule
 from torch import Tensor
+from torch._dynamo.exc import BackendCompilerFailed
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.measure import Figure, medians, unmeasured
@@ -35,10 +36,11 @@ def run(folder: str) -> list[Figure]:
     if not torch.cuda.is_available():
         return [unmeasured("training at the paper's scale", "no CUDA GPU here")]
     as_in_training()
+    kinds = [kind for kind in KINDS if kind == "32-true" or torch.cuda.is_bf16_supported()]
     figures = [
-        figure for name in EXPERIMENTS for kind in KINDS for figure in step_figures(folder, name, kind)
+        figure for name in EXPERIMENTS for kind in kinds for figure in step_figures(folder, name, kind)
     ]
-    return figures + [compiled_figure(folder, kind) for kind in KINDS]
+    return figures + [compiled_figure(folder, kind) for kind in kinds]
 
 
 def as_in_training() -> None:
@@ -62,8 +64,6 @@ def step_figures(folder: str, name: str, kind: str) -> list[Figure]:
         except torch.OutOfMemoryError:
             torch.cuda.empty_cache()
             continue
-        except RuntimeError as error:  # a type that the GPU does not compute
-            return [unmeasured(what, str(error).splitlines()[0])]
         memory = torch.cuda.max_memory_allocated() / 1e9
         what += f", batch of {size}" + (f" in {parts} parts" if parts > 1 else "")
         flops = counter.get_total_flops()
@@ -103,8 +103,8 @@ def compiled_figure(folder: str, kind: str) -> Figure:
             for on in ("true", "false")
         )
         times = medians({"compiled": compiled, "default": default}, 5.0, 3)
-    except RuntimeError as error:  # of memory, of a missing compiler
-        return unmeasured(what, str(error).splitlines()[0])
+    except (torch.OutOfMemoryError, BackendCompilerFailed) as error:
+        return unmeasured(what, str(error).partition("\n")[0])
     return Figure(
         what, size / times["compiled"], "samples/s", size / times["default"], "as configured", rival=True
     )

@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from hydra.errors import HydraException
 from hydra.utils import instantiate
 from lightning import Callback, LightningModule, Trainer
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from imagination.config import compose
 from imagination.errors import UserError
@@ -119,7 +121,13 @@ class Checkpoint:
                 raise UserError(
                     f"checkpoint {self.path}: holds {text!r}, expected the choice of a group's option"
                 )
-        composed = compose("train", [*choices, "paths.run=."])
+        try:
+            composed = compose("train", [*choices, "paths.run=."])
+        except (
+            HydraException,
+            OmegaConfBaseException,
+        ) as error:  # as without the plugin that it was trained with
+            raise UserError(f"checkpoint {self.path}: its choices cannot be composed: {error}") from error
         merged: dict[str, Any] = _with_values(OmegaConf.to_container(composed, resolve=True), values)
         return OmegaConf.create(merged)
 

@@ -15,12 +15,6 @@ class CannotWriteError(UserError):
 class WorkerDiedError(UserError):
     """A worker process that was killed, as for want of memory, or crashed."""
 
-    def __init__(self, more: str = "") -> None:
-        super().__init__(
-            "workers: a process was killed, as for want of memory, or crashed; take fewer with scale.workers"
-            + more
-        )
-
 
 def first_of(names: Sequence[str], most: int = 5) -> str:
     """The first few names for a message, and how many more there are."""

@@ -145,13 +145,15 @@ def _load(sweep: Path) -> list[Member]:
         return []
     try:
         with open(sweep / FILE, newline="") as file:
-            rows = list(csv.reader(file))
+            rows = [row for row in csv.reader(file) if row]
         if not rows or tuple(rows[0]) != Member._fields:
             raise ValueError(f"its columns are not {','.join(Member._fields)}")
-        if odd := [row[0] for row in rows[1:] if row and not row[0].isdecimal()]:
+        if uneven := [row for row in rows if len(row) != len(Member._fields)]:
+            raise ValueError(f"a line of {len(uneven[0])} columns, expected {len(Member._fields)}")
+        if odd := [row[0] for row in rows[1:] if not row[0].isdecimal()]:
             raise ValueError(f"got the folder {odd[0]!r}, expected a number")
         return [Member(*row) for row in rows[1:]]
-    except (OSError, ValueError, TypeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise UserError(
             f"{sweep / FILE}: cannot be read ({error}); restore it, or give another folder with sweep_dir=…"
         ) from error

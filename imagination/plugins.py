@@ -4,6 +4,7 @@
 """
 
 import importlib
+import logging
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,6 +16,8 @@ from typing import Any
 import yaml
 
 from imagination.errors import UserError
+
+log = logging.getLogger(__name__)
 
 GROUP = "imagination.plugins"
 """Entry-point group: the name is the plugin's, the value its conf package, e.g. "imagination_rooms.conf"."""
@@ -81,16 +84,18 @@ def activate() -> list[Plugin]:
 def provided(group: str) -> Iterator[tuple[str, str, str]]:
     """What sound plugins put into a folder of their conf trees: plugin, name of the file, its `_target_`.
 
-    Raises:
-        UserError: if a file names no target.
+    A file without one is told and left out.
     """
     for plugin in activate():
         assert plugin.conf is not None
         for path in sorted((plugin.conf / group).glob("*.yaml")):
-            content = yaml.safe_load(path.read_text())
-            if not isinstance(content, dict) or not isinstance(content.get("_target_"), str):
-                raise UserError(f"{path}: got no _target_, expected the function that provides {path.stem}")
-            yield plugin.name, path.stem, content["_target_"]
+            for target in targets_of(yaml.safe_load(path.read_text())):
+                yield plugin.name, path.stem, target
+                break
+            else:
+                log.warning(
+                    "%s: names no _target_, so the plugin %s provides no %s", path, plugin.name, path.stem
+                )
 
 
 def check(plugin: Plugin) -> str:

@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 
 MAY_CHANGE = (
     *("trainer.max_epochs", "trainer.accelerator", "trainer.devices", "trainer.num_nodes", "paths."),
+    "scale.workers",  # what they compute does not depend on their number
     "data.shards",  # a corpus may move; that it is of the same kind is checked when it is read
 )
 """What may be overridden when a run goes on; all else is the run's own, and may only be said again."""
@@ -69,7 +70,7 @@ def opened(config: DictConfig) -> Iterator[Run]:
     Raises:
         UserError: if there is nothing to go on with, or it may not be changed like this.
     """
-    again = config.resume or config.ckpt_path
+    asked = config.resume or config.ckpt_path
     if rank():
         run = _joined(config)
         try:
@@ -79,12 +80,12 @@ def opened(config: DictConfig) -> Iterator[Run]:
                 raise lost(run.folder) from error
             raise
         return
-    folder = _existing(config) if again else _new(config)
+    folder = _existing(config) if asked else _new(config)
     agree(folder)
     with runs.locked(folder), runs.logging_to(folder / "run.log"):
-        if again:
+        if asked:
             _check_changes(folder, config)
-        going_on = again or (folder / runs.COMPOSED).is_file()  # of a sweep's member that has not ended
+        going_on = asked or (folder / runs.COMPOSED).is_file()  # of a sweep's member that has not ended
         runs.remove_parts(folder)
         run = _go_on(folder, config) if going_on else _begin(folder, config)
         try:
@@ -94,7 +95,7 @@ def opened(config: DictConfig) -> Iterator[Run]:
             if "torch" in sys.modules and lost_another(error):
                 raise lost(folder) from error
             if isinstance(error, WorkerDiedError):  # nothing is wrong with the run
-                raise WorkerDiedError(f"; {again(folder)}") from error
+                raise WorkerDiedError(f"{error}; {again(folder)}") from error
             if explain(error) and not (folder / runs.LAST).is_file():  # refused: nothing to go on with
                 runs.take_back_latest(folder, run.before)
             raise

@@ -82,7 +82,10 @@ def gpu_memory(config: DictConfig) -> Iterator[None]:
         if resolved(config.trainer.precision) == "32-true":
             advice.insert(0, "scale.precision=bf16-mixed, which takes less")
         if parts < share:
-            advice.insert(0, f"{key}={min(2 * parts, share)}, which computes the same batch in more parts")
+            advice.insert(
+                0,
+                f"{key}={min(2 * parts, share)}, which computes the batch in more parts (as does batch normalisation)",
+            )
         raise UserError(
             f"GPU memory: training with {share} views a GPU in {parts} part(s) does not fit; expected a new run with "
             f"{', or '.join(advice)}. It said: {str(error).partition(' Including')[0]}"

@@ -77,7 +77,7 @@ def test_each_section_tells_what_it_alone_was_made_with(tmp_path: Path) -> None:
 
 def test_figures_of_another_machine_stay_where_there_are_none_here(tmp_path: Path) -> None:
     command.write(tmp_path, "gpu", result(Figure("a step", 5.0, "samples/s"), hardware="a GPU"))
-    command.write(tmp_path, "gpu", result(unmeasured("a step", "no GPU")))
+    command.write(tmp_path, "gpu", result(unmeasured("a step", "no GPU"), hardware="a CPU"))
     assert "| a step | 5 samples/s |" in (tmp_path / "results.md").read_text()
     command.write(tmp_path, "gpu", result(Figure("a step", 6.0, "samples/s"), unmeasured("b", "no compiler")))
     assert (

@@ -104,6 +104,33 @@ def test_an_accelerator_that_is_not_there_is_told(command: Command) -> None:
     assert "trainer.accelerator: got 'tpu', expected one that this machine has: auto, cpu" in done.stderr
 
 
+@pytest.mark.slow
+def test_a_killed_worker_is_told_and_the_run_goes_on(command: Command, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "imagination.train", "scale=test", "scale.workers=2", "scale.rounds=500"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        while not list(tmp_path.glob("outputs/custom/*/checkpoints/last.ckpt")):
+            assert process.poll() is None
+            time.sleep(0.1)
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        worker = next(pid for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes())
+        os.kill(int(worker), signal.SIGKILL)
+        told = process.communicate(timeout=120)[1]
+    finally:
+        process.kill()
+    assert process.returncode == 2 and "Traceback" not in told, told
+    assert "take fewer with scale.workers; go on with the same command and ckpt_path=outputs/custom/" in told
+    last = only(tmp_path, "outputs/custom/2*/checkpoints/last.ckpt")
+    rounds = torch.load(last, weights_only=True)["epoch"] + 3
+    done = command("train", f"ckpt_path={last}", "scale.workers=0", f"trainer.max_epochs={rounds}")
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize(
     ("overrides", "told"),
     [

@@ -66,9 +66,8 @@ class ReplayBufferCallback(Callback):
         if ranks() > 1:  # each keeps its part
             self.buffer = ReplayBuffer(self.buffer.size // ranks(), self.buffer.aggregation_factor)
         share = data.batch_size // ranks()
-        check_range(
-            "scale.accumulate", trainer.accumulate_grad_batches, 1, share, "parts of a process's batch"
-        )
+        key = "scale.hrnet_accumulate" if data.predicts == "images" else "scale.accumulate"
+        check_range(key, trainer.accumulate_grad_batches, 1, share, "parts of a process's batch")
         data.rounds = _Rounds(self, data, trainer)
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:

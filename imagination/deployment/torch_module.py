@@ -17,7 +17,6 @@ from torch.func import functional_call
 
 from imagination.checkpoints import Checkpoint
 from imagination.deployment.onnx_module import arrays
-from imagination.deployment.program_file import vetted
 from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
@@ -30,8 +29,8 @@ from imagination.units.unit import Unit
 ENTRY = "imagination.json"
 """Our description in a file of torch.export."""
 
-PLAIN_DATA = "TORCH_FORCE_WEIGHTS_ONLY_LOAD"
-"""What makes `torch.load` refuse pickles of anything else, whoever calls it."""
+PLAIN_DATA = {"TORCH_FORCE_WEIGHTS_ONLY_LOAD": "1", "TORCH_FORCE_NO_WEIGHTS_ONLY_LOAD": "0"}
+"""Variables that let `torch.load` unpickle nothing but plain data, whoever calls it."""
 
 
 class Probabilities(nn.Module):
@@ -122,20 +121,18 @@ class CheckpointModule:
 
 
 class ExportedModule:
-    """A .pt2 file of imagination.export.
+    """A .pt2 file of imagination.export; one from a stranger may hold code, which torch runs.
 
     Raises:
-        UserError: if the file is broken, not ours, or holds anything that could run; see `vetted`.
+        UserError: if the file is broken or not ours.
     """
 
     def __init__(self, path: Path) -> None:
         extra = {ENTRY: ""}
         try:
             with _safely():
-                program = torch.export.load(vetted(path), extra_files=extra)
+                program = torch.export.load(path, extra_files=extra)
                 self._run = program.module()
-        except UserError:
-            raise
         except Exception as error:  # torch raises whatever the broken part makes it raise
             raise UserError(
                 f"{path}: cannot be read as a program of torch.export ({error}); export it again"
@@ -151,21 +148,23 @@ class ExportedModule:
 
 @contextmanager
 def _safely() -> Iterator[None]:
-    """Let torch unpickle nothing but plain data, and leave out what it warns of and logs: what it raises says enough.
+    """Let `torch.load` unpickle plain data only, and leave out what is warned of and logged: errors say enough.
 
-    `torch.export.load` would otherwise unpickle anything as its second try.
+    `torch.export.load` would have it unpickle anything in its second try.
     """
     log = logging.getLogger("torch.export")
-    before = log.disabled, os.environ.get(PLAIN_DATA)
-    log.disabled, os.environ[PLAIN_DATA] = True, "1"
+    before, variables = log.disabled, {name: os.environ.get(name) for name in PLAIN_DATA}
+    log.disabled = True
+    os.environ |= PLAIN_DATA
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        log.disabled = before[0]
-        os.environ.pop(PLAIN_DATA)
-        os.environ |= {} if before[1] is None else {PLAIN_DATA: before[1]}
+        log.disabled = before
+        for name in PLAIN_DATA:
+            del os.environ[name]
+        os.environ |= {name: value for name, value in variables.items() if value is not None}
 
 
 def describe(config: DictConfig, chosen_thresholds: Sequence[float]) -> Description:

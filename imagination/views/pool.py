@@ -16,6 +16,8 @@ import cv2
 from imagination.errors import WorkerDiedError, check_range
 from imagination.views.view import Observer
 
+DIED = "workers: a process was killed, as for want of memory, or crashed; take fewer with scale.workers"
+
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -62,7 +64,7 @@ class ScenePool:
                 try:
                     answer = self._workers[owner].submit(_call, function, scene, args, kwargs)
                 except BrokenProcessPool as error:
-                    raise WorkerDiedError from error
+                    raise WorkerDiedError(DIED) from error
             _leave_answers_to_the_worker(self._workers[owner])
             answer.add_done_callback(lambda done: _deliver(done, future))
         else:
@@ -110,7 +112,7 @@ def _deliver(answer: "Future[_Answer]", future: "Future[Any]") -> None:
     if error is None:
         future.set_result(answer.result().result)
     else:
-        future.set_exception(WorkerDiedError() if isinstance(error, BrokenProcessPool) else error)
+        future.set_exception(WorkerDiedError(DIED) if isinstance(error, BrokenProcessPool) else error)
 
 
 def _leave_answers_to_the_worker(worker: ProcessPoolExecutor) -> None:

@@ -138,7 +138,7 @@ def _check_counts(path: Path) -> None:
                     raise UserError(
                         f"{path}, line {number}: got {words[2].decode('latin-1')!r} elements, expected a whole number"
                     )
-                count, values, announced = int(words[2][:18]), 0, number
+                count, values, announced = int(words[2].lstrip(b"0")[:18] or 0), 0, number
             elif words[:1] == [b"property"]:
                 values += 1
             elif words[:1] not in ([b"ply"], [b"format"], [b"comment"], [b"obj_info"], []):

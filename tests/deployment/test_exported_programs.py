@@ -1,4 +1,4 @@
-"""A .pt2 file from a stranger runs nothing: neither what torch would call, evaluate, unpickle, nor compiled code."""
+"""What torch would unpickle of a .pt2 file."""
 
 import io
 import json
@@ -7,7 +7,6 @@ import pickle
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -47,49 +46,12 @@ class Hostile:
         return os.mkdir, (str(self.path),)
 
 
-def in_model(change: Callable[[Any], None]) -> Callable[[Members], None]:
-    def changing(members: Members) -> None:
-        model = json.loads(members["unit/models/model.json"])
-        change(model)
-        members["unit/models/model.json"] = json.dumps(model).encode()
-
-    return changing
-
-
-def call(model: Any) -> None:
-    model["graph_module"]["graph"]["nodes"][0]["target"] = "torch.os.system"
-
-
-def guard(model: Any) -> None:
-    model["guards_code"] = ["__import__('os').system('true')"]
-
-
-def size(model: Any) -> None:
-    expression = {"as_expr": {"expr_str": "__import__('os').system('true')", "hint": {"as_int": 3}}}
-    model["graph_module"]["graph"]["tensor_values"]["rgb"]["sizes"][1] = expression
-
-
-def test_a_whole_program_passes(program: Path, tmp_path: Path) -> None:
+def test_a_whole_program_passes(program: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TORCH_FORCE_NO_WEIGHTS_ONLY_LOAD", "1")  # as some set it for old checkpoints
     observation = samples(1)[0].observation
     again = changed(program, tmp_path / "unit.pt2", lambda members: None)
     np.testing.assert_array_equal(load(again)(observation), load(program)(observation))
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (in_model(call), "target 'torch.os.system', which torch would run"),
-        (in_model(guard), "guards_code .*, which torch would run"),
-        (in_model(size), "expr_str .*, which torch would run"),
-        (lambda members: members.update({"unit/data/aotinductor/model/a.so": b"ELF"}), "a.so"),
-        (lambda members: members.update({"version": b"8.5"}), "'version', expected what torch.export"),
-    ],
-)
-def test_what_could_run_is_refused(
-    program: Path, tmp_path: Path, change: Callable[[Members], None], told: str
-) -> None:
-    with pytest.raises(UserError, match=told):
-        load(changed(program, tmp_path / "unit.pt2", change))
+    assert os.environ["TORCH_FORCE_NO_WEIGHTS_ONLY_LOAD"] == "1"
 
 
 @pytest.mark.parametrize("name", ["sample_inputs/model.pt", "weights/a", "constants/tensor_0"])
