@@ -108,6 +108,7 @@ def read_records(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, 
     for path in sorted(folder.glob("*.record.json")):
         try:
             record = _checked(Record(**json.loads(path.read_text())))
+            written = (folder / chunk_name(record.scene)).is_file()
         except (OSError, ValueError, TypeError, RecursionError) as error:
             log.warning("shards: %s cannot be read (%s); its home counts as not written", path, error)
             continue
@@ -116,7 +117,7 @@ def read_records(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, 
                 f"shards: the views of {record.scene} in {folder} were made with {different}; write to another "
                 "folder, or remove this one"
             )
-        if (folder / chunk_name(record.scene)).is_file():
+        if written:
             records[record.scene] = record
     return records
 
