@@ -95,7 +95,9 @@ def opened(config: DictConfig) -> Iterator[Run]:
             if "torch" in sys.modules and lost_another(error):
                 raise lost(folder) from error
             if isinstance(error, WorkerDiedError):  # nothing is wrong with the run
-                raise WorkerDiedError(f"{error}; {again(folder)}") from error
+                alone = HydraConfig.get().mode != RunMode.MULTIRUN
+                hint = again(folder) if alone else f"start the sweep again with sweep_dir={folder.parent}"
+                raise WorkerDiedError(f"{error}; {hint}") from error
             if explain(error) and not (folder / runs.LAST).is_file():  # refused: nothing to go on with
                 runs.take_back_latest(folder, run.before)
             raise
@@ -136,9 +138,9 @@ def lost(folder: Path) -> UserError:
 def again(folder: Path) -> str:
     """What to do about a run that ended through no fault of its own."""
     last = folder / runs.LAST
-    if HydraConfig.get().mode == RunMode.MULTIRUN or not last.is_file():
-        return "start the same command again"
-    return f"go on with the same command and ckpt_path={last}"
+    if last.is_file():
+        return f"go on with the same command and ckpt_path={last}"
+    return "no round was finished, so start the same command again"
 
 
 def _new(config: DictConfig) -> Path:

@@ -21,7 +21,7 @@ def batches(device: str, accumulate: int) -> list[Batch]:
     callback.buffer.insert(
         {"pose": np.zeros((100, 3)), "rgb": np.arange(4800, dtype=np.uint8).reshape(100, 4, 4, 3)}
     )
-    data = Mock(spec=SceneData, seed=1, batch_size=12)
+    data = Mock(spec=SceneData, seed=1, batch_size=12, predicts="maps")
     data.assemble = lambda views: {"rgb": torch.from_numpy(views["rgb"]).permute(0, 3, 1, 2)}
     trainer = Mock(spec=Trainer, current_epoch=2, accumulate_grad_batches=accumulate, datamodule=data)
     trainer.strategy.root_device = torch.device(device)
@@ -66,7 +66,7 @@ def test_rounds_after_the_last_collection_see_the_same_views_again(
         return wait
 
     collector = Mock(spec=Collector, views_per_collection=10, start=start)
-    data = Mock(spec=SceneData, seed=1, batch_size=4, workers=1, fields=("pose",))
+    data = Mock(spec=SceneData, seed=1, batch_size=4, workers=1, fields=("pose",), predicts="maps")
     data.collector.return_value = collector
     callback = ReplayBufferCallback(
         size, 5, 7, 0.5, 10, 0.0, 3
