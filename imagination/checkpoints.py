@@ -123,10 +123,8 @@ class Checkpoint:
                 )
         try:
             composed = compose("train", [*choices, "paths.run=."])
-        except (
-            HydraException,
-            OmegaConfBaseException,
-        ) as error:  # as without the plugin that it was trained with
+        # as without the plugin that it was trained with
+        except (HydraException, OmegaConfBaseException) as error:
             raise UserError(f"checkpoint {self.path}: its choices cannot be composed: {error}") from error
         merged: dict[str, Any] = _with_values(OmegaConf.to_container(composed, resolve=True), values)
         return OmegaConf.create(merged)

@@ -26,6 +26,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from imagination import runs
+from imagination.documents import read_csv
 from imagination.errors import UserError
 
 FILE = "members.csv"
@@ -144,15 +145,12 @@ def _load(sweep: Path) -> list[Member]:
     if not (sweep / FILE).is_file():
         return []
     try:
-        with open(sweep / FILE, newline="") as file:
-            rows = [row for row in csv.reader(file) if row]
-        if not rows or tuple(rows[0]) != Member._fields:
+        rows = read_csv(sweep / FILE)
+        if any(row.keys() != set(Member._fields) for row in rows):
             raise ValueError(f"its columns are not {','.join(Member._fields)}")
-        if uneven := [row for row in rows if len(row) != len(Member._fields)]:
-            raise ValueError(f"a line of {len(uneven[0])} columns, expected {len(Member._fields)}")
-        if odd := [row[0] for row in rows[1:] if not row[0].isdecimal()]:
+        if odd := [row["folder"] for row in rows if not row["folder"].isdecimal()]:
             raise ValueError(f"got the folder {odd[0]!r}, expected a number")
-        return [Member(*row) for row in rows[1:]]
+        return [Member(**row) for row in rows]
     except (OSError, ValueError, csv.Error) as error:
         raise UserError(
             f"{sweep / FILE}: cannot be read ({error}); restore it, or give another folder with sweep_dir=…"

@@ -72,20 +72,19 @@ def gpu_memory(config: DictConfig) -> Iterator[None]:
     """
     import torch
 
+    from imagination.callbacks.replay_buffer import PARTS
+
     try:
         yield
     except torch.OutOfMemoryError as error:
         parts = config.trainer.accumulate_grad_batches
         share = config.scale.batch_size // (config.trainer.devices * config.trainer.num_nodes)
-        key = "scale.hrnet_accumulate" if config.model.predicts == "images" else "scale.accumulate"
         advice = ["a GPU that nobody else uses"]
         if resolved(config.trainer.precision) == "32-true":
             advice.insert(0, "scale.precision=bf16-mixed, which takes less")
         if parts < share:
-            advice.insert(
-                0,
-                f"{key}={min(2 * parts, share)}, which computes the batch in more parts (as does batch normalisation)",
-            )
+            more = f"{PARTS[config.model.predicts]}={min(2 * parts, share)}"
+            advice.insert(0, f"{more}, which computes the batch in more parts (as does batch normalisation)")
         raise UserError(
             f"GPU memory: training with {share} views a GPU in {parts} part(s) does not fit; expected a new run with "
             f"{', or '.join(advice)}. It said: {str(error).partition(' Including')[0]}"

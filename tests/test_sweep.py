@@ -64,7 +64,7 @@ def test_a_folder_that_is_no_sweep_is_refused(tmp_path: Path) -> None:
     head = ",".join(members.Member._fields)
     for text, told in (
         (b"folder,key\n0,a\n", "its columns are not folder,key,state"),
-        (f"{head}\n0,a,done\n".encode(), "a line of 3 columns, expected 6"),
+        (f"{head}\n0,a,done\n".encode(), "line 2 does not fit the header"),
         (f"{head}\n../../x,a,running,,,\n".encode(), "got the folder '../../x', expected a number"),
         (b"\xff\xfe", "can't decode"),
     ):

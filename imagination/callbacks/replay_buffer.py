@@ -18,6 +18,9 @@ from imagination.ranks import rank, ranks
 from imagination.units.loss import batch_counts
 from imagination.views.collector import Collector, Stream, Views
 
+PARTS = {"maps": "scale.accumulate", "images": "scale.hrnet_accumulate"}
+"""Key of the parts that a batch is computed in, by what a network predicts."""
+
 
 class ReplayBufferCallback(Callback):
     """One epoch is one round: collect `update_interval` steps, then train on `update_batches` batches from the buffer.
@@ -66,8 +69,9 @@ class ReplayBufferCallback(Callback):
         if ranks() > 1:  # each keeps its part
             self.buffer = ReplayBuffer(self.buffer.size // ranks(), self.buffer.aggregation_factor)
         share = data.batch_size // ranks()
-        key = "scale.hrnet_accumulate" if data.predicts == "images" else "scale.accumulate"
-        check_range(key, trainer.accumulate_grad_batches, 1, share, "parts of a process's batch")
+        check_range(
+            PARTS[data.predicts], trainer.accumulate_grad_batches, 1, share, "parts of a process's batch"
+        )
         data.rounds = _Rounds(self, data, trainer)
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:

@@ -5,11 +5,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
 
+from imagination.documents import read_yaml
 from imagination.evaluation.metrics import CONFIDENCE, interval
 from imagination.evaluation.outcome import Key
 from imagination.evaluation.single_views import ranked_by
 from imagination.evaluation.style import label
-from imagination.reporting.config import read_yaml
 from imagination.reporting.content import Content, Drawing, Plain, Section, as_yaml, facts, trainings
 from imagination.reporting.layout import Cell, Column, Layout, Line, bootstrap, cell_of
 from imagination.reporting.multirun import Member, Multirun

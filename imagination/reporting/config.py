@@ -1,11 +1,10 @@
 """The config that a run left, checked: it may have been edited, damaged, or come from a stranger."""
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from imagination.documents import read_yaml
 from imagination.errors import UserError, check_range
 
 KINDS: dict[str, tuple[type, ...]] = {
@@ -23,36 +22,6 @@ RANGES: dict[str, tuple[float, float]] = {
     "evaluation.viewpoint_sets": (0, 10_000),
 }
 """Of the numbers that a report reads; each may be missing."""
-
-
-class PlainLoader(yaml.SafeLoader):
-    """Reads YAML without references, a few lines of which could stand for any amount of data."""
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("it holds references (*), which no run writes")
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        found = super().construct_mapping(node, deep)
-        if other := [key for key in found if not isinstance(key, str)]:
-            raise yaml.YAMLError(f"got the key {other[0]!r}, expected text")
-        return found
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Keys and values in a YAML file.
-
-    Raises:
-        UserError: if it is damaged.
-    """
-    try:
-        found = yaml.load(path.read_text(), PlainLoader)  # noqa: S506  (a safe loader)
-    except Exception as error:  # yaml raises anything on what looks like a date or a number
-        raise UserError(f"config {path}: is damaged ({error})") from error
-    if not isinstance(found, dict):
-        raise UserError(f"config {path}: is damaged: got {type(found).__name__}, expected keys and values")
-    return found
 
 
 def read_config(path: Path) -> dict[str, Any]:

@@ -14,9 +14,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from imagination import members
 from imagination.config import leaves
+from imagination.documents import read_csv, read_yaml
 from imagination.errors import UserError
-from imagination.reporting.config import read_yaml
-from imagination.reporting.results import Results, read_csv
+from imagination.reporting.results import Results
 
 WHERE_AND_HOW = ("paths", "choices", "callbacks", "logger", "sweep_dir")
 """Nodes of a config that say where and how a member ran; they differ between members or follow from others."""

@@ -1,6 +1,5 @@
 """What a results folder holds: counts of every run, read from tables/runs.csv or recounted from the saved maps."""
 
-import csv
 import json
 import logging
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int64
 
+from imagination.documents import read_csv
 from imagination.errors import UserError, check_range, first_of
 from imagination.evaluation import map_files, single_views
 from imagination.evaluation.map_files import SavedMaps
@@ -202,20 +202,6 @@ class Results:
         except Exception as error:  # readers raise anything on a damaged file
             self.problems.append(f"{path.relative_to(self.folder)} is damaged and left out ({error})")
             return None
-
-
-def read_csv(path: Path) -> list[Row]:
-    """Rows of a table.
-
-    Raises:
-        ValueError: if rows are shorter or longer than the header.
-    """
-    with open(path, newline="") as file:
-        rows = list(csv.DictReader(file, strict=True))
-    for number, row in enumerate(rows, 2):
-        if None in row or None in row.values():
-            raise ValueError(f"line {number} does not fit the header")
-    return rows
 
 
 def read_counts(path: Path) -> dict[Key, Runs]:

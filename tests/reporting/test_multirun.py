@@ -167,7 +167,9 @@ def test_failed_and_missing_members_are_told_and_the_rest_is_shown(sweep: Path) 
     assert (
         "member 1 (kernels.imaginable=0.6, model.alpha_max=30) is failed: RuntimeError: out of luck" in told
     )
-    assert "member 2 (kernels.imaginable=1.0, model.alpha_max=10) is failed: config" in told
+    (broken,) = (line for line in told.splitlines() if line.startswith("member 2 "))
+    assert "(kernels.imaginable=1.0, model.alpha_max=10) is failed: " in broken
+    assert "2/config.yaml: cannot be read" in broken
     assert "member 3" in told and "unfinished" in told
     assert "member 5 (kernels.imaginable=1.4, model.alpha_max=30) is missing" in told
     (table,) = [table for section in content.sections for table in section.layouts]

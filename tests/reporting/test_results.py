@@ -183,7 +183,7 @@ def test_a_config_that_a_report_cannot_go_by_is_refused(
 )
 def test_yaml_that_no_run_writes_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "config.yaml").write_text(text)
-    with pytest.raises(UserError, match=r"config\.yaml: is damaged"):
+    with pytest.raises(UserError, match=r"config\.yaml: cannot be read"):
         read(tmp_path)
 
 
@@ -265,7 +265,7 @@ def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="expected the folder of a run, an evaluation or a sweep"):
         read(tmp_path)
     (tmp_path / "config.yaml").write_text("a: [1")
-    with pytest.raises(UserError, match=r"config .*config.yaml: is damaged"):
+    with pytest.raises(UserError, match=r"config.yaml: cannot be read"):
         read(tmp_path)
     (tmp_path / "config.yaml").write_text("just text")
     with pytest.raises(UserError, match="got str"):
