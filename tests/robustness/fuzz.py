@@ -21,6 +21,7 @@ from time import monotonic
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
+from imagination.errors import check_range
 from tests.robustness.page import read_part, write_part
 from tests.robustness.parsers import PARSERS, Parser
 
@@ -183,7 +184,11 @@ def limit_memory() -> None:
 
 def main(words: list[str]) -> int:
     """Fuzz the parsers named, or all."""
-    minutes = next((float(word.partition("=")[2]) for word in words if word.startswith("minutes=")), 5.0)
+    asked = next((word.partition("=")[2] for word in words if word.startswith("minutes=")), "5")
+    try:
+        minutes = check_range("minutes", float(asked), 0, 600, open_low=True)
+    except ValueError:
+        sys.exit(f"fuzz: got minutes={asked}, expected a number in (0, 600]")
     names = [word for word in words if not word.startswith("minutes=")]
     by_name = {parser.name: parser for parser in PARSERS}
     if unknown := set(names) - set(by_name):

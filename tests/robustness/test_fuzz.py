@@ -25,6 +25,14 @@ def test_damaged_files_get_documented_errors_only(parser: Parser, tmp_path: Path
     survives(parser, 10, 0, tmp_path / "damaged")
 
 
+@pytest.mark.parametrize(
+    "words", [["minutes=soon"], ["tum-rgb", "minutes=-1"], ["minutes=nan"], ["tum-rgbd"]]
+)
+def test_what_cannot_be_fuzzed_is_told(words: list[str]) -> None:
+    with pytest.raises(SystemExit, match="fuzz: got .*, expected"):
+        fuzz.main(words)
+
+
 def test_parsers_have_names_of_their_own() -> None:
     assert len({parser.name for parser in PARSERS}) == len(PARSERS)
 
