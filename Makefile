@@ -1,12 +1,12 @@
 # setup: the environment in .venv · train: the main job · study: the paper's comparison · test: lints, types, tests
-# slow, mutate: the long checks (of Ray and Optuna where these extras are) · bench: how fast each part is
+# slow: the long checks (of Ray and Optuna where these extras are) · bench: how fast each part is
 # soak, fuzz: faults and foreign files
 VENV ?= .venv
 PYTHON ?= python3
 RUN := $(VENV)/bin/python
 ARGS ?= +experiment=chair_unet
 
-.PHONY: setup train study test slow mutate bench soak fuzz
+.PHONY: setup train study test slow bench soak fuzz
 
 setup: $(VENV)/.made
 
@@ -26,16 +26,14 @@ study: setup
 test: setup
 	$(RUN) -m ruff check .
 	$(RUN) -m mypy
+	$(VENV)/bin/lint-imports --no-logo
 	$(RUN) -m pytest -n 2
 
 slow: setup
 	$(RUN) -m pytest -m slow
 
-mutate: setup
-	$(RUN) tests/mutate.py
-
 bench: setup
-	$(RUN) -m benchmarks
+	$(RUN) -m tests.benchmarks
 
 soak: setup
 	$(RUN) -m tests.robustness.soak

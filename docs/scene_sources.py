@@ -15,13 +15,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from imagination.geometry.camera import Camera
-from imagination.ground_truth import pictures
-from imagination.ground_truth.maps import build
+from imagination.ground_truth import visualization
+from imagination.ground_truth.scene_maps import build
 from imagination.scenes.renderer import renderer_of
-from imagination.scenes.scene import SceneSource
-from imagination.views.poses import sample_poses
-from tests.scene_sources.fake_habitat import install
-from tests.scene_sources.sources import NEEDS, SOURCES, configured, source
+from imagination.scenes.source import SceneSource
+from imagination.views.pose_samplers import sample_poses
+from tests.helpers.fake_habitat import install
+from tests.helpers.scene_sources import NEEDS, SOURCES, configured, source
 
 PICTURES = Path(__file__).parent / "pictures"
 CAMERA = Camera.from_degrees(384, 288, 80.0, 1.25, pitch=8.0)
@@ -45,7 +45,7 @@ def draw(name: str, made: SceneSource, folder: Path) -> None:
     figure = Figure(figsize=(10.0, 3.9), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.0))
-    pictures.show_truth(left, scene, truth, table)
+    visualization.show_truth(left, scene, truth, table)
     middle.imshow(image.rgb)
     right.imshow(np.where(image.depth > 0, image.depth, np.nan), cmap="viridis_r")
     for axes, title in ((left, f"{made.name}: {scene.name}"), (middle, "colour"), (right, "depth")):

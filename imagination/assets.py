@@ -4,8 +4,8 @@ import sys
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from imagination import plugins
-from imagination.errors import UserError, check_choice
+from imagination.config.plugin_registry import provided
+from imagination.utils.errors import UserError, check_choice
 
 GROUP = "assets"
 """Folder of a plugin's conf tree: each file's `_target_` is a provider without arguments."""
@@ -37,7 +37,7 @@ def main(arguments: list[str]) -> None:
     Raises:
         UserError: on an unknown name or argument, or what the provider raises.
     """
-    known = {name: target for _, name, target in plugins.provided(GROUP)}
+    known = {name: target for _, name, target in provided(GROUP)}
     if not arguments:
         print(f"{USAGE}\nNAME is one of: {', '.join(sorted(known)) or '(no plugin offers any)'}")
         return

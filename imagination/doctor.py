@@ -6,28 +6,14 @@ import sys
 from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import NamedTuple
 
-from imagination import plugins
+from imagination.config.plugin_registry import discover, provided
+from imagination.utils.diagnostics import Finding
 
 GROUP = "doctor"
 """Folder of a plugin's conf tree: each file's `_target_` is a function that yields findings."""
 MEMORY, DISK = 8.0, 5.0
 """What the desk job takes, GB."""
-
-
-class Finding(NamedTuple):
-    """One thing looked at.
-
-    Attributes:
-        name: what.
-        good: True, False, or None if it is only missing what not everybody needs.
-        told: what was found, and what to do about it.
-    """
-
-    name: str
-    good: bool | None
-    told: str
 
 
 def examine() -> Iterator[Finding]:
@@ -66,9 +52,9 @@ def _graphics() -> Finding:
 
 def of_plugins() -> Iterator[Finding]:
     """Findings about the plugins, and their own."""
-    for plugin in plugins.discover():
+    for plugin in discover():
         yield Finding(f"plugin {plugin.name}", not plugin.problem, plugin.problem or plugin.origin)
-    for plugin_name, _, target in plugins.provided(GROUP):
+    for plugin_name, _, target in provided(GROUP):
         yield from _look(plugin_name, target)
 
 

@@ -5,7 +5,6 @@ The config is that of the (first) checkpoint's run, changed by the command line;
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 from collections.abc import Sequence
@@ -16,15 +15,16 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from imagination import runs
-from imagination.config import command, compose, validate
-from imagination.errors import UserError
-from imagination.resume import key, top
+from imagination.evaluation.checkpoint_config import check_homes, configured
+from imagination.runs.command import command
+from imagination.runs.folder import CONFIG, create_folder, now, within
+from imagination.runs.logging import logging_to
+from imagination.utils.atomic_io import remove_parts, write_errors_told, write_text
+from imagination.utils.errors import UserError
 
 if TYPE_CHECKING:
-    from imagination.checkpoints import Checkpoint
     from imagination.evaluation.protocol import MappingProtocol
-    from imagination.scenes.scene import SceneSource
+    from imagination.runs.checkpoint import Checkpoint
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +36,7 @@ def main(config: DictConfig) -> None:
         raise UserError(
             "ckpt: got none, expected a checkpoint: ckpt=outputs/<experiment>/latest/checkpoints/best.ckpt"
         )
-    from imagination.checkpoints import Checkpoint  # with it comes torch, which --help does without
+    from imagination.runs.checkpoint import Checkpoint  # with it comes torch, which --help does without
 
     member = None if OmegaConf.is_missing(config.paths, "run") else Path(config.paths.run)
     paths = [config.ckpt] if isinstance(config.ckpt, str) else list(config.ckpt)
@@ -45,10 +45,10 @@ def main(config: DictConfig) -> None:
     protocol = instantiate(config.evaluation)  # refuses what is out of range before anything is written
     folder = new_folder(config, member)
     config.paths.run = str(folder)
-    found = [str(runs.within(Path(path))) for path in paths]  # `latest` will be another one tomorrow
+    found = [str(within(Path(path))) for path in paths]  # `latest` will be another one tomorrow
     config.ckpt = found[0] if isinstance(config.ckpt, str) else found
-    with runs.logging_to(folder / "run.log"):
-        runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
+    with logging_to(folder / "run.log"):
+        write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
         try:
             evaluate(config, protocol, checkpoints, folder)
         except KeyboardInterrupt:
@@ -67,9 +67,10 @@ def evaluate(
     """Load the networks, look at the homes, write tables, figures and maps."""
     import torch
 
-    from imagination.baselines.ade20k import PublicHRNet
-    from imagination.evaluation import results
-    from imagination.evaluation.training_table import training_rows
+    from imagination.evaluation import run
+    from imagination.models.segmentation.ade20k import PublicHRNet
+    from imagination.reporting.results_folder import write_results
+    from imagination.reporting.training_table import training_rows
 
     data = instantiate(config.data.module)
     check_homes(checkpoints, data.observer.source)
@@ -79,124 +80,21 @@ def evaluate(
         observer, mirrored = data.observer, config.scale.mirrored_answers
         networks.append(PublicHRNet.load(Path(config.ade20k), observer.categories, observer.camera, mirrored))
     try:
-        results.evaluate(
-            protocol,
-            data,
-            [network.to(device) for network in networks],
-            folder,
-            lambda report: training_rows(checkpoints, report, public=bool(config.ade20k)),
-        )
+        evaluation = run.evaluate(protocol, data, [network.to(device) for network in networks], folder)
     finally:
         data.close()
-
-
-def check_homes(checkpoints: Sequence[Checkpoint], source: SceneSource) -> None:
-    """Check that no home that is chosen or measured on was trained in; tell if networks were trained in different ones.
-
-    Raises:
-        UserError: with a home that was.
-    """
-    for split in ("val", "test"):
-        here = {source.fingerprint(home): home for home in source.scenes(split)}
-        for checkpoint in checkpoints:
-            if both := [(name, here[found]) for name, found in checkpoint.homes.items() if found in here]:
-                trained, found = both[0]
-                raise UserError(
-                    f"ckpt: {checkpoint.path} was trained in {trained}, which is {found} of the split {split!r} now; "
-                    "train it again with these homes, or evaluate with those it was trained with"
-                )
-    told = [checkpoint for checkpoint in checkpoints if checkpoint.homes]
-    for other in told[1:]:
-        if set(other.homes.values()) != set(told[0].homes.values()):
-            log.warning(
-                "ckpt: %s and %s were trained in different homes, or by different versions of what makes homes",
-                told[0].path,
-                other.path,
-            )
-
-
-def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictConfig:
-    """The config of the evaluation: the first checkpoint's, with the categories of all, then the command line's.
-
-    Raises:
-        UserError: if two checkpoints give the same category, or one is of other categories, another resolution or
-            another camera than the others or the command line ask for, or the command line changes networks.
-    """
-    from imagination.checkpoints import KEY
-
-    by_kind = {kind: [one for one in checkpoints if one.predicts == kind] for kind in ("maps", "images")}
-    for of_kind in by_kind.values():
-        _refuse_twice(of_kind)
-    for other in checkpoints[1:]:
-        other.require(checkpoints[0].config, f"checkpoint {checkpoints[0].path}")
-    every = [name for one in by_kind["maps"] or by_kind["images"] for name in one.categories]
-    given = {key(text) for text in overrides}
-    inherited = [text for text in checkpoints[0].state[KEY]["choices"] if key(text) not in given]
-    config = compose(
-        "evaluate", [*inherited, f"unit_categories={json.dumps(every)}", "paths.run=.", *overrides]
+    write_results(
+        folder, evaluation, training_rows(checkpoints, evaluation.report, public=bool(config.ade20k))
     )
-    config.sweep_dir = None  # Hydra has it; with its date it is no part of what is evaluated
-    _refuse_other_networks(config, overrides)
-    validate(config)
-    for of_kind in filter(None, by_kind.values()):
-        _refuse_missing(of_kind, config)
-    for checkpoint in checkpoints:
-        checkpoint.require(config)
-    if by_kind["images"] and config.ade20k:
-        raise UserError(
-            f"ade20k: got {config.ade20k} beside checkpoint {by_kind['images'][0].path}, expected one segmentation "
-            "network; leave one of them out"
-        )
-    return config
-
-
-def _refuse_twice(checkpoints: Sequence[Checkpoint]) -> None:
-    """Refuse checkpoints of one kind that give the same category."""
-    givers: dict[str, Checkpoint] = {}
-    for checkpoint in checkpoints:
-        for name in checkpoint.categories:
-            other = givers.setdefault(name, checkpoint)
-            if other is not checkpoint:
-                raise UserError(
-                    f"ckpt: got {other.path} and {checkpoint.path}, which both give {name}, expected each category "
-                    "once; leave one of them out"
-                )
-
-
-def _refuse_missing(checkpoints: Sequence[Checkpoint], config: DictConfig) -> None:
-    """Refuse to evaluate a category that no checkpoint of a kind gives."""
-    missing = [
-        name for name in config.unit_categories if not any(name in one.categories for one in checkpoints)
-    ]
-    if missing:
-        held = "; ".join(
-            f"checkpoint {one.path}: is of {', '.join(one.categories)} at {one.config.ego.resolution} m a cell"
-            for one in checkpoints
-        )
-        raise UserError(
-            f"{held}, but the evaluation asks for {', '.join(config.unit_categories)}; add a checkpoint of "
-            f"{', '.join(missing)}, or leave out what overrides unit_categories"
-        )
-
-
-def _refuse_other_networks(config: DictConfig, overrides: Sequence[str]) -> None:
-    """Refuse overrides of what networks are: they stay as they were trained, so nothing would follow from them."""
-    described = OmegaConf.to_yaml(config.model)  # with its references to the scale
-    for text in overrides:
-        if top(text) == "model" or (top(text) == "scale" and f"${{{key(text)}}}" in described):
-            raise UserError(
-                f"{key(text)}: got {text}, but networks are evaluated as they were trained; leave it "
-                "out, or train one with it"
-            )
 
 
 def new_folder(config: DictConfig, member: Path | None) -> Path:
     """A folder for the results: outputs/<name>/evaluate_<date_time>, or that of a sweep's member."""
     if member is None:
-        return runs.create_folder(Path(config.paths.outputs) / config.name, f"evaluate_{runs.now()}")
-    with runs.write_errors_told(member):
+        return create_folder(Path(config.paths.outputs) / config.name, f"evaluate_{now()}")
+    with write_errors_told(member):
         member.mkdir(parents=True, exist_ok=True)
-    runs.remove_parts(member)  # of an evaluation that was killed
+    remove_parts(member)  # of an evaluation that was killed
     return member
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from imagination import runs
-from imagination.config import command
 from imagination.deployment.formats import PRECISIONS, SUFFIXES
-from imagination.errors import UserError, check_choice, check_range
+from imagination.runs.command import command
+from imagination.utils.atomic_io import replacing
+from imagination.utils.errors import UserError, check_choice, check_range
 
 log = logging.getLogger(__name__)
 
@@ -41,11 +41,11 @@ def validate(config: DictConfig) -> None:
 @command("export", validate)
 def main(config: DictConfig) -> None:
     """Write the file, ask it and PyTorch about the same views, and keep it if they agree."""
-    from imagination.checkpoints import Checkpoint  # with it comes torch, which --help does without
     from imagination.deployment import export
     from imagination.deployment.load import load
-    from imagination.deployment.torch_module import CheckpointModule
-    from imagination.mapping.module import SideBySide
+    from imagination.deployment.torch_backend import CheckpointModule
+    from imagination.mapping.predictor import SideBySide
+    from imagination.runs.checkpoint import Checkpoint  # with it comes torch, which --help does without
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     paths = [config.ckpt] if isinstance(config.ckpt, str) else list(config.ckpt)
@@ -61,7 +61,7 @@ def main(config: DictConfig) -> None:
     calibration = (
         export.sample_views(run, "train", CALIBRATION_VIEWS) if config.precision == "int8" else samples
     )
-    with runs.replacing(file) as temporary:  # an earlier file stays unless this one is good
+    with replacing(file) as temporary:  # an earlier file stays unless this one is good
         export.export(checkpoints, temporary, config.format, config.precision, calibration, config.look_once)
         check = export.compare(load(temporary), reference, samples)
         told = f"on {len(samples)} views: largest difference {check.difference:.2g}, IoU {check.told()}"

@@ -9,12 +9,14 @@ from pathlib import Path
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from imagination import runs
-from imagination.config import command
-from imagination.deployment import configured
-from imagination.errors import UserError
-from imagination.mapping.semantic import SemanticMapper
+from imagination.deployment import mapper_from_config
+from imagination.mapping.semantic_mapper import SemanticMapper
 from imagination.recordings.recording import Frames, Recording
+from imagination.runs.command import command
+from imagination.runs.folder import CONFIG, create_folder, now, point_latest
+from imagination.runs.logging import logging_to
+from imagination.utils.atomic_io import write_text
+from imagination.utils.errors import UserError
 from imagination.viewers.viewer import Viewer
 
 log = logging.getLogger(__name__)
@@ -26,7 +28,7 @@ def validate(config: DictConfig) -> None:
     Raises:
         UserError: on the first value that is missing or out of range.
     """
-    configured.validate(config)
+    mapper_from_config.validate(config)
     if OmegaConf.is_missing(config.recording, "path"):
         raise UserError("recording.path: got none, expected a folder or a bag: recording.path=…")
 
@@ -34,14 +36,14 @@ def validate(config: DictConfig) -> None:
 @command("map", validate)
 def main(config: DictConfig) -> None:
     """Map a recording."""
-    module = configured.module_of(config)
+    module = mapper_from_config.module_of(config)
     recording: Recording = instantiate(config.recording, _convert_="all")
     viewer: Viewer = instantiate(config.viewer)
-    mapper = configured.mapper_of(config, module, recording.camera, recording.world)
-    folder = runs.create_folder(Path(config.paths.outputs) / config.name, runs.now())
+    mapper = mapper_from_config.mapper_of(config, module, recording.camera, recording.world)
+    folder = create_folder(Path(config.paths.outputs) / config.name, now())
     config.paths.run = str(folder)
-    with runs.logging_to(folder / "run.log"):
-        runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
+    with logging_to(folder / "run.log"):
+        write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
         frames = Frames(recording, config.max_speed)
         viewer.open(folder, mapper)
         try:
@@ -50,7 +52,7 @@ def main(config: DictConfig) -> None:
             try:
                 if frames.mapped:  # whatever ended it
                     mapper.save(folder)
-                    runs.point_latest(folder)
+                    point_latest(folder)
                     log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
             finally:
                 viewer.close()

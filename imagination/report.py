@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imagination.config import mistakes_told
-from imagination.errors import UserError
+from imagination.config.user_messages import mistakes_told
+from imagination.utils.errors import UserError
 
 if TYPE_CHECKING:  # with it comes matplotlib, which --help does without
     from imagination.reporting.content import Content
@@ -27,10 +27,10 @@ def main(arguments: list[str]) -> None:
         "--docs", type=Path, metavar="PAGE", help="write PAGE.md and figures into PAGE/ instead"
     )
     given = parser.parse_args(arguments)
-    from imagination.reporting import docs, page
+    from imagination.reporting import html, markdown
 
     content = read(given.folder)
-    written = docs.write(given.docs, content) if given.docs else page.write(given.folder, content)
+    written = markdown.write(given.docs, content) if given.docs else html.write(given.folder, content)
     for problem in content.problems:
         print(f"incomplete: {problem}", file=sys.stderr)
     print(f"Report: {written}", file=sys.stderr)
@@ -44,9 +44,9 @@ def read(folder: Path) -> Content:
     """
     from imagination.reporting.ablation import of_multirun
     from imagination.reporting.content import of_run
-    from imagination.reporting.multirun import Multirun, is_multirun
-    from imagination.reporting.results import Results
-    from imagination.runs import CONFIG
+    from imagination.reporting.load_run import Results
+    from imagination.reporting.load_sweep import Multirun, is_multirun
+    from imagination.runs.folder import CONFIG
 
     if not folder.is_dir():
         raise UserError(

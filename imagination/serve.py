@@ -11,11 +11,14 @@ from typing import Protocol, runtime_checkable
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from imagination import plugins, runs
-from imagination.config import command
-from imagination.deployment import configured
+from imagination.config.plugin_registry import discover
+from imagination.deployment import mapper_from_config
 from imagination.geometry.rgbd import RgbdCamera
-from imagination.mapping.semantic import SemanticMapper
+from imagination.mapping.semantic_mapper import SemanticMapper
+from imagination.runs.command import command
+from imagination.runs.folder import CONFIG, create_folder, now, point_latest
+from imagination.runs.logging import logging_to
+from imagination.utils.atomic_io import write_text
 
 log = logging.getLogger(__name__)
 
@@ -35,30 +38,30 @@ class Server(Protocol):
         """
 
 
-@command("serve", configured.validate)
+@command("serve", mapper_from_config.validate)
 def serve(config: DictConfig) -> None:
     """Serve until interrupted, then save the map."""
-    module = configured.module_of(config)
-    configured.mapper_of(
+    module = mapper_from_config.module_of(config)
+    mapper_from_config.mapper_of(
         config, module, RgbdCamera.of(module.description.camera)
     )  # mistakes show before it listens
     server: Server = instantiate(config.server, _convert_="all")
     mappers: list[SemanticMapper] = []
 
     def make_mapper(camera: RgbdCamera) -> SemanticMapper:
-        mappers.append(configured.mapper_of(config, module, camera))
+        mappers.append(mapper_from_config.mapper_of(config, module, camera))
         return mappers[-1]
 
-    folder = runs.create_folder(Path(config.paths.outputs) / config.name, runs.now())
+    folder = create_folder(Path(config.paths.outputs) / config.name, now())
     config.paths.run = str(folder)
-    with runs.logging_to(folder / "run.log"):
-        runs.write_text(folder / runs.CONFIG, OmegaConf.to_yaml(config, resolve=True))
+    with logging_to(folder / "run.log"):
+        write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
         try:
             server.serve(make_mapper)
         finally:  # whatever ended it, the map is kept
             if mappers and mappers[-1].frames:
                 mappers[-1].save(folder)
-                runs.point_latest(folder)
+                point_latest(folder)
                 log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
             else:
                 log.error("error: no frame could be mapped; nothing is saved")
@@ -67,7 +70,7 @@ def serve(config: DictConfig) -> None:
 
 def main() -> None:
     """The command, if there is a plugin that serves."""
-    options = [option for plugin in plugins.discover() if not plugin.problem for option in plugin.options]
+    options = [option for plugin in discover() if not plugin.problem for option in plugin.options]
     if not any(option.startswith("server/") for option in options):
         sys.exit(
             "error: serve: found no plugin that serves; put the folder plugins/ros of the repository into plugins/ of "

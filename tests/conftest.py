@@ -11,9 +11,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two co
 import pytest
 from jaxtyping import install_import_hook
 
-import tests.shapes
+from tests.helpers import shape_checker
 
-install_import_hook("imagination", f"{tests.shapes.__name__}.checked")
+install_import_hook("imagination", f"{shape_checker.__name__}.checked")
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -43,16 +43,16 @@ def example_plugin(tmp_path: Path) -> Iterator[Path]:
     """The example plugin in plugins/ of the folder that commands run in."""
     folder = tmp_path / "plugins" / "example"
     folder.parent.mkdir()
-    folder.symlink_to(ROOT / "tests" / "plugins_example", target_is_directory=True)
+    folder.symlink_to(ROOT / "tests" / "helpers" / "example_plugin", target_is_directory=True)
     yield folder
 
 
 @pytest.fixture(scope="session")
 def unit_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small unit for chairs that was never trained, as ONNX."""
-    from imagination.checkpoints import Checkpoint  # torch, which few tests need
     from imagination.deployment.export import export
-    from tests.deployment.checkpoints import make_checkpoint, samples
+    from imagination.runs.checkpoint import Checkpoint  # torch, which few tests need
+    from tests.helpers.checkpoints import make_checkpoint, samples
 
     folder = tmp_path_factory.mktemp("unit")
     checkpoint = Checkpoint.read(make_checkpoint(folder / "chair.ckpt", threshold=0.55))

@@ -31,7 +31,7 @@ def test_the_example_of_the_mapper_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unit_file: Path
 ) -> None:
     """As it stands in the README, with a small unit that was never trained."""
-    from imagination.mapping.files import load_layer
+    from imagination.mapping.map_io import load_layer
 
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert len(code.splitlines()) < 30
@@ -62,7 +62,7 @@ class Block:
 sys.meta_path.insert(0, Block())
 (code,) = re.findall(r"```python\\n(.*?)```", Path(sys.argv[0]).read_text(), re.DOTALL)
 exec(compile(code, "README.md", "exec"), {})
-from imagination.mapping.files import load_layer
+from imagination.mapping.map_io import load_layer
 assert (load_layer("my_map/map.yaml").layer >= 0).any()
 try:
     import hydra
@@ -89,7 +89,7 @@ def test_the_example_needs_no_other_packages_than_the_readme_says(tmp_path: Path
 
 
 def test_the_smallest_scene_source_is_small() -> None:
-    example = ROOT / "tests" / "plugins_example"
+    example = ROOT / "tests" / "helpers" / "example_plugin"
     files = [
         example / "imagination_example" / "rooms.py",
         example / "conf" / "data" / "scenes" / "box_rooms.yaml",

@@ -6,14 +6,15 @@ from typing import cast
 
 from lightning import Callback, LightningModule, Trainer
 
-from imagination.callbacks.pictures import add_image
+from imagination.callbacks.unit_images import add_image
 from imagination.data.datamodule import SceneData
-from imagination.errors import check_range
-from imagination.evaluation.figures import side_by_side
 from imagination.evaluation.prediction import Model, Segmenter
 from imagination.evaluation.protocol import MappingProtocol, Subject
-from imagination.evaluation.results import evaluate, subject_of
-from imagination.progress import stage
+from imagination.evaluation.run import evaluate, subject_of
+from imagination.reporting.figures.maps import side_by_side
+from imagination.reporting.results_folder import write_results
+from imagination.utils.errors import check_range
+from imagination.utils.timing import stage
 
 Network = Model | Segmenter
 
@@ -53,11 +54,11 @@ class MappingEvaluation(Callback):
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if not trainer.is_global_zero:
             return
-        report, rows = evaluate(self.protocol, _data(trainer), [cast(Network, pl_module)], self.folder)
-        for row in rows:
+        evaluation = evaluate(self.protocol, _data(trainer), [cast(Network, pl_module)], self.folder)
+        for row in write_results(self.folder, evaluation):
             tag = f"global/{row['category']}/{row['approach']}/{row['cell_width']}m"
             pl_module.log(tag, float(row["iou_pooled"]), rank_zero_only=True)
-        for example in report.examples:
+        for example in evaluation.report.examples:
             add_image(trainer, f"maps/{example.category}/{example.run.cell_width:g}m", side_by_side(example))
 
     def _subject(self, trainer: Trainer, pl_module: LightningModule) -> Subject:

@@ -7,19 +7,18 @@ import numpy as np
 import torch
 from lightning import Callback, LightningModule, Trainer
 
-from imagination.data.ahead import ahead
+from imagination.config.key_roles import MICRO_BATCH_KEYS
 from imagination.data.augmentation import mirrored
-from imagination.data.batches import Batch
+from imagination.data.collate import Batch
 from imagination.data.datamodule import SceneData
+from imagination.data.prefetch import ahead
 from imagination.data.replay_buffer import ReplayBuffer
-from imagination.errors import UserError, check_range
-from imagination.progress import progress
-from imagination.ranks import rank, ranks
-from imagination.units.loss import batch_counts
-from imagination.views.collector import Collector, Stream, Views
-
-PARTS = {"maps": "scale.accumulate", "images": "scale.hrnet_accumulate"}
-"""Key of the parts that a batch is computed in, by what a network predicts."""
+from imagination.models.losses import batch_counts
+from imagination.utils.errors import UserError, check_range
+from imagination.utils.process_group import rank, ranks
+from imagination.utils.progress import progress
+from imagination.views.collector import Collector, Views
+from imagination.views.random_streams import Stream
 
 
 class ReplayBufferCallback(Callback):
@@ -70,7 +69,11 @@ class ReplayBufferCallback(Callback):
             self.buffer = ReplayBuffer(self.buffer.size // ranks(), self.buffer.aggregation_factor)
         share = data.batch_size // ranks()
         check_range(
-            PARTS[data.predicts], trainer.accumulate_grad_batches, 1, share, "parts of a process's batch"
+            MICRO_BATCH_KEYS[data.predicts],
+            trainer.accumulate_grad_batches,
+            1,
+            share,
+            "parts of a process's batch",
         )
         data.rounds = _Rounds(self, data, trainer)
 

@@ -8,15 +8,17 @@ import numpy as np
 from lightning import LightningDataModule
 from torch.utils.data import DataLoader
 
-from imagination.data.batches import FIELDS, Batch, assemble, assemble_images
-from imagination.errors import UserError, check_choice, check_range
+from imagination.data.collate import FIELDS, Batch, assemble, assemble_images
 from imagination.geometry.morphology import kernel_cells
-from imagination.progress import progress
-from imagination.ranks import begun_elsewhere, rank, ranks
-from imagination.scenes.scene import Split
-from imagination.views.collector import Collector, PoseSampler, Stream, Views, concatenate, look
-from imagination.views.pool import ScenePool
-from imagination.views.view import Observer, plain
+from imagination.scenes.source import Split
+from imagination.utils.cache import plain
+from imagination.utils.errors import UserError, check_choice, check_range
+from imagination.utils.process_group import begun_elsewhere, rank, ranks
+from imagination.utils.progress import progress
+from imagination.views.collector import Collector, PoseSampler, Views, concatenate, look
+from imagination.views.observer import Observer
+from imagination.views.random_streams import Stream
+from imagination.views.scene_workers import ScenePool
 
 
 class SceneData(LightningDataModule):

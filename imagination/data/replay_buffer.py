@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from imagination.errors import UserError, check_range
+from imagination.utils.errors import UserError, check_range
 from imagination.views.collector import Views
 
 

@@ -13,19 +13,25 @@ from jaxtyping import Bool, Float32
 from omegaconf import DictConfig
 from torch import Tensor, nn
 
-from imagination.checkpoints import Checkpoint
-from imagination.deployment.onnx_module import KEY, NAMES, arrays
-from imagination.deployment.torch_module import ENTRY, Probabilities, TrainedUnit, inputs
-from imagination.errors import require_extra
+from imagination.deployment.onnx_backend import KEY, NAMES, arrays
+from imagination.deployment.torch_backend import ENTRY, Probabilities, TrainedUnit, inputs
 from imagination.evaluation.metrics import count, iou
 from imagination.geometry.morphology import kernel_cells
-from imagination.ground_truth.label import label
-from imagination.mapping.module import Description, ImaginationModule, Observation, joined, valid_imagination
-from imagination.runs import replacing
-from imagination.scenes.scene import Split
-from imagination.units.encoders import TimmEncoder
-from imagination.views.poses import sample_poses
-from imagination.views.view import Observer
+from imagination.ground_truth.targets import label
+from imagination.mapping.predictor import (
+    Description,
+    ImaginationModule,
+    Observation,
+    joined,
+    valid_imagination,
+)
+from imagination.models.encoders import TimmEncoder
+from imagination.runs.checkpoint import Checkpoint
+from imagination.scenes.source import Split
+from imagination.utils.atomic_io import replacing
+from imagination.utils.errors import require_extra
+from imagination.views.observer import Observer
+from imagination.views.pose_samplers import sample_poses
 
 
 class Sample(NamedTuple):

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from imagination.errors import UserError
-from imagination.mapping.module import ImaginationModule, Observation, SideBySide
+from imagination.mapping.predictor import ImaginationModule, Observation, SideBySide
+from imagination.utils.errors import UserError
 
 
 def load(units: str | Path | Sequence[str | Path]) -> ImaginationModule:
@@ -63,18 +63,18 @@ def _answering(module: ImaginationModule, path: Path) -> ImaginationModule:
 
 
 def _onnx(path: Path) -> ImaginationModule:
-    from imagination.deployment.onnx_module import OnnxModule
+    from imagination.deployment.onnx_backend import OnnxModule
 
     return OnnxModule(path)
 
 
 def _exported(path: Path) -> ImaginationModule:
-    from imagination.deployment.torch_module import ExportedModule
+    from imagination.deployment.torch_backend import ExportedModule
 
     return ExportedModule(path)
 
 
 def _checkpoint(path: Path) -> ImaginationModule:
-    from imagination.deployment.torch_module import CheckpointModule
+    from imagination.deployment.torch_backend import CheckpointModule
 
     return CheckpointModule(path)

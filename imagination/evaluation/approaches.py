@@ -1,4 +1,4 @@
-"""The approaches compared: what each says about a view, how views are put together, how the map is finished."""
+"""The approaches compared: evidence of a view, its fusion and postprocessing of the map."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,14 +7,14 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from imagination.errors import check_choice, check_range
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import close, dilate, kernel_cells
 from imagination.geometry.projection import Band, project_categories
-from imagination.ground_truth.label import imaginable_mask
-from imagination.mapping.module import Statement, valid_imagination
-from imagination.mapping.registration import Rule
+from imagination.ground_truth.targets import imaginable_mask
+from imagination.mapping.predictor import Statement, valid_imagination
+from imagination.mapping.update_rules import Rule
+from imagination.utils.errors import check_choice, check_range
 from imagination.views.collector import Views
 
 Predictions = dict[str, np.ndarray]
@@ -30,6 +30,13 @@ NEEDS = {
 the evaluated categories; plain_maps are the same before units averaged and dilated them, maps_of_shuffled_rgb those of
 views each of which had the colours of another one; images, uint8 [n, h, w], are first-person segmentations, 0 for none,
 else the category's row + 1."""
+
+
+REFERENCE = "imagination"
+"""The approach that the others are compared with in pairs."""
+
+NO_RIVALS = ("seg_gt", "oracle", "rgb_shuffled")
+"""Approaches that are told the truth about a view, and controls: never the best of a table, as in the paper."""
 
 
 class Setting(NamedTuple):

@@ -10,15 +10,15 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor, nn
 
-from imagination.cache import code_version
-from imagination.data.batches import Batch, observations
-from imagination.errors import UserError
+from imagination.data.collate import Batch, observations
 from imagination.evaluation.approaches import Predictions
-from imagination.precision import answering, resolved
-from imagination.units.unit import Answers
+from imagination.models.unit import Answers
+from imagination.utils.cache import code_version
+from imagination.utils.errors import UserError
+from imagination.utils.precision import answering, resolved
 from imagination.views.collector import Views
 
-PACKAGES = ("units", "baselines", "mapping")
+PACKAGES = ("models", "mapping")
 """Whose code decides, beside that of the cache's makers, what an evaluation finds."""
 
 

@@ -14,17 +14,17 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int64
 
-from imagination.errors import UserError, check_choice, check_range, first_of
 from imagination.evaluation.approaches import NEEDS, Approach, Predictions, Setting
-from imagination.evaluation.map_files import SavedMaps
-from imagination.evaluation.measuring import Arrays, Plan, maps_of, measure_run, tally_run
-from imagination.evaluation.outcome import Choices, Counts, Example, Key, Report
-from imagination.evaluation.runs import Looks, Run, render, runs_of, views_of
-from imagination.evaluation.selection import THRESHOLDS, choose
-from imagination.precision import PRECISIONS
-from imagination.progress import progress
+from imagination.evaluation.records import Choices, Counts, Example, Key, Report
+from imagination.evaluation.saved_maps import SavedMaps
+from imagination.evaluation.threshold_selection import THRESHOLDS, choose
+from imagination.evaluation.trial_worker import Arrays, Plan, maps_of, measure_run, tally_run
+from imagination.evaluation.trials import Looks, Run, render, runs_of, views_of
+from imagination.utils.errors import UserError, check_choice, check_range, first_of
+from imagination.utils.precision import PRECISIONS
+from imagination.utils.progress import progress
 from imagination.views.collector import Views
-from imagination.views.pool import ScenePool
+from imagination.views.scene_workers import ScenePool
 
 KIND = "evaluation_results"
 """Name of finished runs in the cache."""

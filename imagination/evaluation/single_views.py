@@ -7,17 +7,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from imagination.errors import UserError, check_range
+from imagination.evaluation.approaches import NO_RIVALS, REFERENCE
 from imagination.evaluation.metrics import count, iou
-from imagination.evaluation.outcome import Choices
 from imagination.evaluation.protocol import MappingProtocol, Subject, homes_with
-from imagination.evaluation.runs import Looks, Run, render, runs_of, views_of
-from imagination.evaluation.selection import THRESHOLDS, tally
-from imagination.evaluation.style import NO_RIVALS
-from imagination.evaluation.tables import REFERENCE, Row, to_csv
-from imagination.ground_truth.label import label
-from imagination.mapping.module import Statement
-from imagination.runs import replacing, write_text
+from imagination.evaluation.records import Choices
+from imagination.evaluation.threshold_selection import THRESHOLDS, tally
+from imagination.evaluation.trials import Looks, Run, render, runs_of, views_of
+from imagination.ground_truth.targets import label
+from imagination.mapping.predictor import Statement
+from imagination.utils.atomic_io import replacing, write_text
+from imagination.utils.errors import UserError, check_range
+from imagination.utils.tabular import Row, to_csv
 from imagination.views.collector import Views
 
 MIN_LABEL = 0.1

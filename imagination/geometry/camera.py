@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from imagination.errors import check_range
 from imagination.geometry.pose import Pose
+from imagination.utils.errors import check_range
 
 
 @dataclass(frozen=True)

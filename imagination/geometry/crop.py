@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from imagination.compiled import compiled
-from imagination.errors import UserError
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
+from imagination.utils.errors import UserError
+from imagination.utils.jit import compiled
 
 
 def ego_to_grid(ego: EgoGrid, grid: Grid, pose: Pose) -> Float64[np.ndarray, "2 3"]:

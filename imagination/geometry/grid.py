@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from imagination.errors import UserError, check_range
 from imagination.geometry.pose import Pose
+from imagination.utils.errors import UserError, check_range
 
 MAX_CELLS = 20_001
 """Cells a side that a map may have: beyond, one layer alone takes 1.6 GB as float32."""

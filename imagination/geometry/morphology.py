@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from imagination.errors import UserError, check_range
+from imagination.utils.errors import UserError, check_range
 
 Layers = Bool[np.ndarray, "*b h w"] | Float32[np.ndarray, "*b h w"]
 """Masks, or scores from 0 up: of which a square takes the largest or smallest, so that they commute with thresholds."""

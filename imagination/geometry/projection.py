@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, UInt8
 
-from imagination.compiled import compiled
-from imagination.errors import UserError, check_range
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid, Grid
+from imagination.utils.errors import UserError, check_range
+from imagination.utils.jit import compiled
 
 
 class Band(NamedTuple):

@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
-from imagination.compiled import compiled
-from imagination.errors import UserError
 from imagination.geometry.crop import ego_to_grid
 from imagination.geometry.grid import MAX_CELLS, EgoGrid, Grid
 from imagination.geometry.pose import Pose
-from imagination.mapping.registration import Rule
+from imagination.mapping.update_rules import Rule
+from imagination.utils.errors import UserError
+from imagination.utils.jit import compiled
 
 BYTES_PER_CELL = 8
 """A probability (float32) and the number of views that wrote the cell (int32), negative while it was only imagined."""
@@ -42,7 +42,7 @@ class Mapper:
     Raises:
         UserError: if the resolutions differ, there is no category, or the map is too large.
 
-    >>> from imagination.mapping.registration import MovingAverage
+    >>> from imagination.mapping.update_rules import MovingAverage
     >>> ego = EgoGrid(resolution=1.0, cells=3)
     >>> mapper = Mapper(Grid.centred(5.0, 1.0), ego, ["chair"], MovingAverage(0.9))
     >>> for value in (1.0, 0.0):

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from imagination.errors import UserError, check_range, require_extra
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
 from imagination.recordings.cameras import mount_of
 from imagination.recordings.recording import BrokenRecordingError, Images, Shot
@@ -27,7 +26,9 @@ from imagination.recordings.ros_messages import (
     stamp_of,
     transform_of,
 )
-from imagination.recordings.trajectory import SECOND, Stamp, Transforms
+from imagination.recordings.tf_tree import Transforms
+from imagination.recordings.trajectory import SECOND, Stamp
+from imagination.utils.errors import UserError, check_range, require_extra
 
 NO_COLOUR = ("depth", "infra", "/ir/", "disparity", "confidence", "mask", "label")
 """In the names of image topics that are not colour."""

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
+from imagination.utils.errors import UserError
 
 
 def camera_of(values: Mapping[str, Any], origin: str = "camera") -> RgbdCamera:

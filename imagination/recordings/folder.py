@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from imagination.documents import read_yaml
-from imagination.errors import UserError, check_range
 from imagination.geometry.pose import Pose
 from imagination.recordings.cameras import camera_of
 from imagination.recordings.images import read_colour, read_depth
 from imagination.recordings.recording import BrokenRecordingError, Images, Shot
 from imagination.recordings.trajectory import matrix_of
 from imagination.recordings.tum import to_stamp
+from imagination.utils.errors import UserError, check_range
+from imagination.utils.tabular import read_yaml
 
 PLANAR, FULL = ("x", "y", "theta"), ("x", "y", "z", "qx", "qy", "qz", "qw")
 """Columns of frames.csv: of the robot on the floor, or of the colour camera."""

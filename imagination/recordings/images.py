@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from imagination.decoding import decode
-from imagination.errors import UserError
 from imagination.recordings.recording import BrokenRecordingError
+from imagination.utils.errors import UserError
+from imagination.utils.image_decoding import decode
 
 MAX_SIDE = 8192
 """Pixels a side of an image; larger ones are refused before anything is allocated."""

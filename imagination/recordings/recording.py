@@ -8,9 +8,10 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from imagination.errors import UserError
 from imagination.geometry.rgbd import RgbdCamera
-from imagination.recordings.trajectory import Jumps, Order, Stamp
+from imagination.recordings.pose_filters import Jumps, Order
+from imagination.recordings.trajectory import Stamp
+from imagination.utils.errors import UserError
 
 
 class Images(NamedTuple):

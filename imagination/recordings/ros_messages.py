@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from imagination.errors import UserError
 from imagination.geometry.rgbd import Intrinsics
 from imagination.recordings.images import (
     MAX_SIDE,
@@ -24,6 +23,7 @@ from imagination.recordings.images import (
 )
 from imagination.recordings.recording import BrokenRecordingError
 from imagination.recordings.trajectory import JUMP, SECOND, Stamp, matrix_of
+from imagination.utils.errors import UserError
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from imagination.errors import UserError, check_range
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera, check_transform
 from imagination.recordings.images import read_colour, read_depth
 from imagination.recordings.recording import Images, Shot
 from imagination.recordings.trajectory import SECOND
+from imagination.utils.errors import UserError, check_range
 
 
 class ScanNetRecording:

@@ -7,11 +7,11 @@ from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
 
-from imagination.errors import UserError, check_range
 from imagination.geometry.rgbd import RgbdCamera
 from imagination.recordings.images import read_colour, read_depth
 from imagination.recordings.recording import BrokenRecordingError, Images, Shot
 from imagination.recordings.trajectory import SECOND, Stamp, Trajectory, matrix_of
+from imagination.utils.errors import UserError, check_range
 
 
 class Entry(NamedTuple):

@@ -5,16 +5,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
 
-from imagination.documents import read_yaml
 from imagination.evaluation.metrics import CONFIDENCE, interval
-from imagination.evaluation.outcome import Key
+from imagination.evaluation.records import Key
 from imagination.evaluation.single_views import ranked_by
-from imagination.evaluation.style import label
 from imagination.reporting.content import Content, Drawing, Plain, Section, as_yaml, facts, trainings
-from imagination.reporting.layout import Cell, Column, Layout, Line, bootstrap, cell_of
-from imagination.reporting.multirun import Member, Multirun
-from imagination.reporting.results import Results, Runs
-from imagination.reporting.score_figures import Point, draw_ablation
+from imagination.reporting.figures.scores import Point, draw_ablation
+from imagination.reporting.load_run import Results, Runs
+from imagination.reporting.load_sweep import Member, Multirun
+from imagination.reporting.paper_layout import Cell, Column, Layout, Line, bootstrap, cell_of
+from imagination.reporting.style import label
+from imagination.utils.tabular import read_yaml
 
 
 def of_multirun(sweep: Multirun) -> Content:

@@ -9,13 +9,17 @@ from typing import NamedTuple
 import yaml
 from matplotlib.figure import Figure
 
-from imagination import members
-from imagination.evaluation import style
-from imagination.evaluation.report import HOMES
+from imagination.evaluation.records import HOMES
 from imagination.evaluation.single_views import CELLS, FILE, MIN_LABEL, TABLE, ranked_by
-from imagination.reporting import curves, layout, map_figures, score_figures, view_figures
-from imagination.reporting.layout import Layout
-from imagination.reporting.results import Results, Row, Tally, missing_maps
+from imagination.reporting import paper_layout, training_curves
+from imagination.reporting.figures import maps
+from imagination.reporting.figures.curves import draw_curves
+from imagination.reporting.figures.scores import draw_distribution, draw_precision_recall, draw_reliability
+from imagination.reporting.figures.views import draw_singles
+from imagination.reporting.load_run import Results, Row, Tally, missing_maps
+from imagination.reporting.paper_layout import Layout
+from imagination.reporting.style import MEANINGS, label
+from imagination.runs import sweep_jobs
 
 TOLD = ("mapping.csv", "paired.csv", "runs.csv", HOMES, TABLE)
 """Tables that other parts of the report are made of."""
@@ -85,7 +89,7 @@ class Content(NamedTuple):
 def of_run(results: Results) -> Content:
     """Everything that a run's folder has to tell."""
     made = [
-        Section("Global maps", layouts=tuple(layout.tables(results)), plain=tuple(_meanings(results))),
+        Section("Global maps", layouts=tuple(paper_layout.tables(results)), plain=tuple(_meanings(results))),
         Section(
             "Distributions over runs",
             "A run is one home and viewpoint set. Boxes span the quartiles, whiskers reach the last run within "
@@ -140,7 +144,7 @@ def trainings(results: Results) -> list[str]:
 def _training_of(run: Results) -> str:
     """As it was given; what was chosen, of a run that was resumed, was a sweep's member or did not end."""
     told = str(run.provenance.get("command", ""))
-    alone = not (run.folder.parent / members.FILE).is_file()
+    alone = not (run.folder.parent / sweep_jobs.FILE).is_file()
     if alone and "imagination.train" in told and not any(mark in told for mark in ("resume=", "ckpt_path=")):
         return told
     chosen = [str(text) for text in run.config.get("choices") or []]
@@ -154,9 +158,9 @@ def as_yaml(results: Results) -> str:
 
 def _meanings(results: Results) -> Iterator[Plain]:
     rows = [
-        {"approach": style.label(name), "meaning": style.MEANINGS[name]}
+        {"approach": label(name), "meaning": MEANINGS[name]}
         for name in results.approaches
-        if name in style.MEANINGS
+        if name in MEANINGS
     ]
     if rows:
         yield Plain("What the rows mean", rows)
@@ -168,7 +172,7 @@ def _distributions(results: Results) -> Iterator[Drawing]:
             yield Drawing(
                 f"distribution_{measure}_{category}",
                 f"{what} of each run by approach and cell width, {category}.",
-                partial(score_figures.draw_distribution, results.counts, category, measure),
+                partial(draw_distribution, results.counts, category, measure),
             )
 
 
@@ -180,21 +184,19 @@ def _maps(results: Results) -> Iterator[Drawing]:
         return
     results.problems += missing_maps(results.counts, results.maps)
     for category in results.categories:
-        widths = [
-            width for width in results.cell_widths if map_figures.typical(results.maps, category, width)
-        ]
-        ranking = style.label(ranked_by(results.approaches))
+        widths = [width for width in results.cell_widths if maps.typical(results.maps, category, width)]
+        ranking = label(ranked_by(results.approaches))
         for width in widths[-1:]:
             yield Drawing(
                 f"maps_{category}",
                 f"Maps of {category} at a cell width of {width:g} m: the run whose IoU by {ranking} is the median.",
-                partial(map_figures.draw_typical, results.maps, category, [width]),
+                partial(maps.draw_typical, results.maps, category, [width]),
                 wide=True,
             )
     yield Drawing(
         "viewpoints",
         "Sparse viewpoints (Algorithm 1) and the headings taken there, on the map of the home with most of them.",
-        partial(map_figures.draw_viewpoints, results.maps),
+        partial(maps.draw_viewpoints, results.maps),
         wide=True,
     )
 
@@ -205,7 +207,7 @@ def _ranking(results: Results) -> str:
         return ""
     return (
         f"The best, the median and the worst view of the test homes by IoU of "
-        f"{style.label(ranked_by(list(views[0].predicted)))} with V_label, among views with at least "
+        f"{label(ranked_by(list(views[0].predicted)))} with V_label, among views with at least "
         f"{MIN_LABEL:g} m² of label; of equals that with the most. Each approach draws from this view alone, with the "
         "threshold of its global map. The triangle is the robot, looking up."
     )
@@ -220,7 +222,7 @@ def _singles(results: Results) -> Iterator[Drawing]:
         yield Drawing(
             f"single_{category}",
             f"Single predictions of {category}.",
-            partial(view_figures.draw_singles, of, resolution),
+            partial(draw_singles, of, resolution),
             wide=True,
         )
 
@@ -234,7 +236,7 @@ def _scores(results: Results) -> Iterator[Drawing]:
             for place, name in enumerate(first.approaches)
             for layer, category in enumerate(first.categories)
         }
-    pooled, views = map_figures.tallies(results.maps), results.view_tallies
+    pooled, views = maps.tallies(results.maps), results.view_tallies
     of_views = {(name, of): tally for (name, part, of), tally in views.items() if part == "all"}
     by_approach = {key: tally for key, tally in of_views.items() if key[0] != "network"}
     network = {(part, of): tally for (name, part, of), tally in views.items() if name == "network"}
@@ -244,20 +246,20 @@ def _scores(results: Results) -> Iterator[Drawing]:
             yield Drawing(
                 f"precision_recall_{stem}_{category}",
                 f"Precision over recall of {what}, {category}: all runs together, at every threshold.",
-                partial(score_figures.draw_precision_recall, lines, thresholds, f"{category}, {what}"),
+                partial(draw_precision_recall, lines, thresholds, f"{category}, {what}"),
             )
     for category, lines in _by_category(pooled).items():
         yield Drawing(
             f"reliability_maps_{category}",
             f"Scores of global maps before the threshold, and how often they are right, {category}.",
-            partial(score_figures.draw_reliability, lines, f"{category}, global maps"),
+            partial(draw_reliability, lines, f"{category}, global maps"),
         )
     for category, lines in _by_category(network).items():
         ordered = {part: lines[part] for part in CELLS if part in lines}
         yield Drawing(
             f"reliability_network_{category}",
             f"The network's probabilities in single views, and how often they are right, {category}.",
-            partial(score_figures.draw_reliability, ordered, f"{category}, the network in single views"),
+            partial(draw_reliability, ordered, f"{category}, the network in single views"),
         )
 
 
@@ -268,15 +270,18 @@ def _by_category(tallies: Mapping[tuple[str, str], Tally]) -> dict[str, dict[str
     return found
 
 
-def _charts(results: Results) -> list[curves.Chart]:
+def _charts(results: Results) -> list[training_curves.Chart]:
     """The curves of a run; of an evaluation, those of its networks side by side."""
-    logged = [(run, run.folder / curves.FOLDER) for run in results.trained]
+    logged = [(run, run.folder / training_curves.FOLDER) for run in results.trained]
     logged = [(run, folder) for run, folder in logged if folder.is_dir()]
     if results.trained != [results]:
-        return curves.compared([(run.name, run.predicts, curves.read(folder)) for run, folder in logged])
-    found = [chart for _, folder in logged for chart in curves.charts(curves.read(folder))]
+        curves = [(run.name, run.predicts, training_curves.read(folder)) for run, folder in logged]
+        return training_curves.compared(curves)
+    found = [chart for _, folder in logged for chart in training_curves.charts(training_curves.read(folder))]
     if logged and not found:
-        results.problems.append(f"{curves.FOLDER}/ holds no curves: its event files are missing or damaged")
+        results.problems.append(
+            f"{training_curves.FOLDER}/ holds no curves: its event files are missing or damaged"
+        )
     return found
 
 
@@ -285,7 +290,7 @@ def _training(results: Results) -> Iterator[Drawing]:
         yield Drawing(
             chart.stem,
             f"{chart.title} over updates of the weights.",
-            partial(score_figures.draw_curves, chart.curves, chart.title, "update", chart.up),
+            partial(draw_curves, chart.curves, chart.title, "update", chart.up),
         )
 
 

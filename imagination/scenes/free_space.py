@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from imagination.compiled import compiled
-from imagination.errors import UserError, check_range
 from imagination.geometry.grid import MAX_CELLS, Grid
 from imagination.scenes.scene import FreeSpace, Mesh
+from imagination.utils.errors import UserError, check_range
+from imagination.utils.jit import compiled
 
 MAX_SLOPE = 0.2
 """Steepest floor: horizontal share of the unit normal (11 degrees)."""

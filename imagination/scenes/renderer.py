@@ -10,10 +10,10 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Float, Float32, Int32, UInt8
 
-from imagination.compiled import compiled
-from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.scenes.scene import Lighting, Material, Mesh, Scene
+from imagination.utils.errors import UserError
+from imagination.utils.jit import compiled
 
 
 class Image(NamedTuple):

@@ -2,16 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, Protocol, get_args, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, UInt8
 
 from imagination.geometry.grid import Grid
 from imagination.geometry.pose import Pose
-
-Split = Literal["train", "val", "test"]
-SPLITS: tuple[Split, ...] = get_args(Split)
 
 
 @dataclass(frozen=True)
@@ -141,65 +138,3 @@ class Scene:
             if thing.category is not None and thing.category in names:
                 table[thing.instance] = names.index(thing.category) + 1
         return table
-
-
-class Credit(NamedTuple):
-    """A model, or a data set, that somebody made.
-
-    Attributes:
-        split: whose scenes it may stand in.
-        label: what it is.
-        model: as `SceneObject.model` names it.
-        author, licence, origin: who made it, under which terms it may be used, where it comes from.
-    """
-
-    split: str
-    label: str
-    model: str
-    author: str
-    licence: str
-    origin: str
-
-
-@runtime_checkable
-class Credited(Protocol):
-    """A scene source whose scenes hold what others made: results name them."""
-
-    def credits(self) -> Sequence[Credit]:
-        """Everything that scenes are made of; may be empty."""
-
-
-@runtime_checkable
-class SceneSource(Protocol):
-    """Loads scenes by name. Plain values only inside, so that worker processes receive a copy of it."""
-
-    name: str
-
-    def scenes(self, split: Split) -> list[str]:
-        """Names of the scenes of a split, in a fixed order; splits share no name.
-
-        Raises:
-            UserError: if the split has no scene.
-        """
-
-    def load(self, scene: str) -> Scene:
-        """Load one scene; the same name always gives the same scene.
-
-        Raises:
-            UserError: if there is no such scene, it has no free space, or it is broken.
-        """
-
-    def fingerprint(self, scene: str) -> str:
-        """A string that changes whenever what `load` returns changes; part of the keys of caches."""
-
-
-@runtime_checkable
-class SpareHomes(SceneSource, Protocol):
-    """A source with more homes like those of training, for learning how much unseen furniture costs."""
-
-    def spare(self, count: int) -> list[str]:
-        """Names of scenes that are furnished as training's and in no split.
-
-        Raises:
-            UserError: if there are not so many.
-        """

@@ -1,16 +1,20 @@
-"""Sensor models: what stands between the renderer and whoever uses the image."""
+"""Sensor models between the renderer and the user of the image."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from imagination.scenes.renderer import Image
 
+Sensor = Callable[[Image, np.random.Generator], Image]
+"""Turns the renderer's image into the image of the robot's sensor."""
+
 
 @dataclass(frozen=True)
 class IdealSensor:
-    """A sensor without noise: it passes the renderer's image on."""
+    """A sensor without noise."""
 
     def __call__(self, image: Image, rng: np.random.Generator) -> Image:
-        """The image as the robot gets it; `rng` is for sensors that add noise."""
+        """Return the image unchanged; `rng` is for sensors that add noise."""
         return image

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from imagination.errors import check_range, require_extra
 from imagination.geometry.pose import Pose
-from imagination.mapping.pictures import FREE_COLOUR, OCCUPIED_COLOUR, UNKNOWN_COLOUR, draw_map
-from imagination.mapping.semantic import SemanticMapper, Update
+from imagination.mapping.semantic_mapper import SemanticMapper, Update
+from imagination.mapping.visualization import FREE_COLOUR, OCCUPIED_COLOUR, UNKNOWN_COLOUR, draw_map
+from imagination.utils.errors import check_range, require_extra
 
 MOST_PLACES = 1000
 """Of the robot's path; of more, every second is dropped, since the whole path is sent again and again."""

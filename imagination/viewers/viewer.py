@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from imagination.mapping.semantic import SemanticMapper, Update
+from imagination.mapping.semantic_mapper import SemanticMapper, Update
 
 
 @runtime_checkable

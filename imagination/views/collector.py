@@ -7,30 +7,20 @@ can be made again, by any number of workers, in any order; those once made are k
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 
-from imagination.errors import UserError, check_range
 from imagination.geometry.pose import Pose
 from imagination.scenes.scene import Scene
-from imagination.views.pool import ScenePool
-from imagination.views.view import Observer, View, plain
+from imagination.utils.cache import plain
+from imagination.utils.errors import UserError, check_range
+from imagination.views.observer import Observer
+from imagination.views.random_streams import Stream
+from imagination.views.scene_workers import ScenePool
+from imagination.views.view import View
 
 Views = dict[str, np.ndarray]
 """Stacked views, compact: rgb and categories uint8, depth float16, occupied, seen and object bool, pose float64."""
-
-
-class Stream(IntEnum):
-    """Streams of random numbers that must not meet: the second number of every seed."""
-
-    SCENE_ORDER = 0
-    TRAINING_VIEWS = 1
-    HELD_OUT_VIEWS = 2
-    BATCHES = 3
-    VIEWPOINTS = 4
-    REGISTRATION_ORDER = 5
-    SHARDS = 6
 
 
 PoseSampler = Callable[[Scene, int, np.random.Generator], list[Pose]]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imagination.data.replay_buffer import ReplayBuffer
-from imagination.errors import UserError
+from imagination.utils.errors import UserError
 
 
 def numbered(first: int, count: int) -> dict[str, np.ndarray]:

@@ -15,18 +15,18 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint
-from imagination.config import compose
+from imagination.config.compose import compose
 from imagination.deployment.export import Sample, compare, export, sample_views
 from imagination.deployment.load import load
-from imagination.deployment.torch_module import CheckpointModule, inputs
-from imagination.errors import UserError
-from imagination.mapping.module import Observation
-from imagination.mapping.semantic import SemanticMapper
+from imagination.deployment.torch_backend import CheckpointModule, inputs
+from imagination.mapping.predictor import Observation
+from imagination.mapping.semantic_mapper import SemanticMapper
+from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint
+from imagination.utils.errors import UserError
 from tests.conftest import ROOT, Command
-from tests.deployment.checkpoints import make_checkpoint, samples
-from tests.mapping.test_semantic import frames
-from tests.modules import CAMERA, EGO, Toy
+from tests.helpers.checkpoints import make_checkpoint, samples
+from tests.helpers.toy_units import CAMERA, EGO, Toy
+from tests.mapping.test_semantic_mapper import frames
 
 
 @pytest.fixture(scope="module")
@@ -120,8 +120,8 @@ sys.meta_path.insert(0, Block())
 import numpy as np
 from imagination.deployment.load import load
 from imagination.geometry.pose import Pose
-from imagination.mapping.module import Observation
-from imagination.mapping.semantic import SemanticMapper
+from imagination.mapping.predictor import Observation
+from imagination.mapping.semantic_mapper import SemanticMapper
 mapper = SemanticMapper(load(sys.argv[1]))
 mapper.update(np.full((48, 48, 3), 90, np.uint8), np.full((48, 48), 2.0, np.float32), Pose(0.0, 0.0, 0.5))
 mapper.save(sys.argv[2])

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from imagination.deployment.load import load
-from imagination.errors import UserError
-from tests.deployment.checkpoints import samples
+from imagination.utils.errors import UserError
+from tests.helpers.checkpoints import samples
 from tests.robustness.parsers.units import exported
 
 Members = dict[str, bytes]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imagination.checkpoints import Checkpoint
 from imagination.deployment.export import Sample, export
 from imagination.deployment.load import load
 from imagination.geometry.camera import Camera
@@ -17,14 +16,15 @@ from imagination.geometry.grid import EgoGrid
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import project_depth
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
-from imagination.mapping.module import Observation
-from imagination.mapping.semantic import SemanticMapper
+from imagination.mapping.predictor import Observation
+from imagination.mapping.semantic_mapper import SemanticMapper
+from imagination.runs.checkpoint import Checkpoint
 from imagination.scenes.renderer import Renderer
-from imagination.viewers.preview import Preview
-from tests.deployment.checkpoints import make_checkpoint
-from tests.mapping.test_semantic import frames
-from tests.modules import Toy
-from tests.rooms import tiny_room
+from imagination.viewers.video import Preview
+from tests.helpers.checkpoints import make_checkpoint
+from tests.helpers.rooms import tiny_room
+from tests.helpers.toy_units import Toy
+from tests.mapping.test_semantic_mapper import frames
 
 CATEGORIES = ("chair", "bed", "table")
 
@@ -108,7 +108,7 @@ def test_one_frame_at_desk_scale_takes_fifty_milliseconds(
     mapper = SemanticMapper(module, camera)
     mapper.update(images[0].rgb, images[0].depth, poses[0])  # makes the map
     projection, update = Stopwatch(project_depth), Stopwatch(mapper.update)
-    monkeypatch.setattr("imagination.mapping.semantic.project_depth", projection)
+    monkeypatch.setattr("imagination.mapping.semantic_mapper.project_depth", projection)
     monkeypatch.setattr(mapper._mapper, "register", registration := Stopwatch(mapper._mapper.register))
     module.ask.seconds.clear()
     for number in range(220):

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from imagination.errors import UserError
 from imagination.evaluation.approaches import (
     Approach,
     ImaginableArea,
@@ -15,15 +14,16 @@ from imagination.evaluation.approaches import (
     Setting,
     ValidPrediction,
 )
-from imagination.evaluation.maps import area_of, score_maps
+from imagination.evaluation.global_maps import area_of, score_maps
 from imagination.evaluation.metrics import count
 from imagination.geometry.camera import Camera
 from imagination.geometry.crop import crop
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.morphology import close, dilate
 from imagination.geometry.pose import Pose
-from imagination.ground_truth.maps import GroundTruth
-from imagination.mapping.registration import Max, MovingAverage
+from imagination.ground_truth.scene_maps import GroundTruth
+from imagination.mapping.update_rules import Max, MovingAverage
+from imagination.utils.errors import UserError
 
 CAMERA = Camera(16, 16, np.pi / 2, 1.25)
 EGO = EgoGrid(0.1, 9)

@@ -5,9 +5,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from imagination.errors import UserError
 from imagination.evaluation.prediction import Predictor
-from imagination.units.unit import Answers
+from imagination.models.unit import Answers
+from imagination.utils.errors import UserError
 
 TABLE = ["chair", "bed", "table"]
 

@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imagination.errors import UserError
-from imagination.evaluation import map_files, runs, tables
+from imagination.evaluation import saved_maps, trials
 from imagination.evaluation.metrics import mean_iou, pooled_iou
-from imagination.evaluation.outcome import Key, Report
 from imagination.evaluation.protocol import Subject
-from imagination.evaluation.runs import Looks, Run, views_of
-from imagination.views.viewpoints import Viewpoints
-from tests.evaluation.subjects import Perfect, make_protocol, make_subject
+from imagination.evaluation.records import Key, Report
+from imagination.evaluation.trials import Looks, Run, views_of
+from imagination.evaluation.viewpoints import Viewpoints
+from imagination.reporting.tables import mapping_rows
+from imagination.utils.errors import UserError
+from tests.helpers.toy_evaluation import Perfect, make_protocol, make_subject
 
 HOMES = ["val_0", "test_1"]
 
@@ -96,7 +97,7 @@ def test_a_threshold_that_is_given_is_not_chosen(subject: Subject, report: Repor
 def test_the_same_seed_gives_the_same_report_and_renders_nothing_again(
     subject: Subject, report: Report, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(runs, "_look", lambda *_: pytest.fail("rendered again"))
+    monkeypatch.setattr(trials, "_look", lambda *_: pytest.fail("rendered again"))
     protocol = replace(make_protocol(), cell_widths=[1.0])
     again = protocol.measure(subject, HOMES, report.choices)
     for key, counts in again.counts.items():
@@ -163,7 +164,7 @@ def test_a_home_too_small_for_the_cell_width_counts_with_empty_maps(
     subject: Subject, report: Report, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     nothing = Viewpoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
-    monkeypatch.setattr(runs, "sparse_viewpoints", lambda *_: nothing)
+    monkeypatch.setattr(trials, "sparse_viewpoints", lambda *_: nothing)
     found = make_protocol(cell_widths=[9.0]).measure(subject, HOMES, report.choices)
     for counts in found.counts.values():
         assert (counts[..., :2] == 0).all()
@@ -176,7 +177,9 @@ def test_tables_can_be_recounted_from_the_saved_maps(
 ) -> None:
     """With numpy alone, from the files alone."""
     protocol = make_protocol()
-    found = protocol.measure(subject, HOMES, report.choices, save=lambda maps: map_files.save(tmp_path, maps))
+    found = protocol.measure(
+        subject, HOMES, report.choices, save=lambda maps: saved_maps.save(tmp_path, maps)
+    )
     totals: dict[tuple[str, str, str], np.ndarray] = {}
     for path in sorted((tmp_path / "maps").iterdir()):
         with np.load(path, allow_pickle=False) as file:
@@ -191,7 +194,7 @@ def test_tables_can_be_recounted_from_the_saved_maps(
                     outcomes = *whole, *(cells & seen for cells in whole)
                     key = str(name), str(category), f"{file['cell_width']:g}"
                     totals[key] = totals.get(key, 0) + np.array([np.sum(cells) for cells in outcomes])
-    rows = tables.mapping_rows(found, protocol, 0.1)
+    rows = mapping_rows(found, protocol, 0.1)
     assert len(rows) == len(totals) == 7 * 2 * 2
     for row in rows:
         recounted = totals[row["approach"], row["category"], row["cell_width"]].tolist()
@@ -204,16 +207,16 @@ def test_tables_can_be_recounted_from_the_saved_maps(
 
 
 def test_saved_maps_are_read_as_they_were(subject: Subject, report: Report, tmp_path: Path) -> None:
-    kept: list[map_files.SavedMaps] = []
+    kept: list[saved_maps.SavedMaps] = []
     make_protocol(cell_widths=[1.0]).measure(subject, HOMES[:1], report.choices, save=kept.append)
     for maps in kept:
-        map_files.save(tmp_path, maps)
-        path = map_files.path_of(tmp_path, maps.run)
+        saved_maps.save(tmp_path, maps)
+        path = saved_maps.path_of(tmp_path, maps.run)
         before = path.read_bytes()
-        again = map_files.load(path)
+        again = saved_maps.load(path)
         assert again.run == maps.run and again.grid == maps.grid and again.approaches == maps.approaches
         assert (again.predicted == maps.predicted).all() and (again.truth == maps.truth).all()
-        map_files.save(tmp_path, again)
+        saved_maps.save(tmp_path, again)
         assert path.read_bytes() == before
         # cropped to what it holds, at its place: the truth's cells lie where the home's do
         home = subject.pool.observer.truth(maps.run.home)
@@ -222,7 +225,7 @@ def test_saved_maps_are_read_as_they_were(subject: Subject, report: Report, tmp_
         assert home.truth[0][row, column].all() and len(points) == home.truth[0].sum()
     path.write_bytes(before[:100])
     with pytest.raises(UserError, match="is damaged or no file of maps"):
-        map_files.load(path)
+        saved_maps.load(path)
 
 
 def test_an_evaluation_that_stopped_goes_on_where_it_was(tmp_path: Path) -> None:

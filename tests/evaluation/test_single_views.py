@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imagination.errors import UserError
 from imagination.evaluation import single_views
 from imagination.evaluation.protocol import Subject
-from imagination.evaluation.runs import Run
-from imagination.evaluation.selection import THRESHOLDS
 from imagination.evaluation.single_views import Singles, _Place, picks
-from tests.evaluation.subjects import make_protocol, make_subject
+from imagination.evaluation.threshold_selection import THRESHOLDS
+from imagination.evaluation.trials import Run
+from imagination.utils.errors import UserError
+from tests.helpers.toy_evaluation import make_protocol, make_subject
 
 HOMES = ["val_0", "test_1"]
 

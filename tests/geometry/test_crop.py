@@ -4,10 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from imagination.errors import UserError
 from imagination.geometry.crop import crop, ego_to_grid
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
+from imagination.utils.errors import UserError
 
 RESOLUTION = 0.0625  # exact in floating point, so that shifts by whole cells are too
 GRID = Grid(RESOLUTION, 40, 50, (-1.0, 2.0))

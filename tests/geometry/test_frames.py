@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid, Grid, cells_of
 from imagination.geometry.pose import Pose
-from tests.geometry.raycast import pixel_rays
+from imagination.utils.errors import UserError
+from tests.helpers.raycast import pixel_rays
 
 coordinates = st.floats(-50, 50)
 poses = st.builds(Pose, coordinates, coordinates, st.floats(-7, 7))

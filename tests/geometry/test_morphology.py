@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
-from imagination.errors import UserError
 from imagination.geometry.grid import cells_of
 from imagination.geometry.morphology import close, dilate, kernel_cells
+from imagination.utils.errors import UserError
 
 masks = arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12)))
 kernels = st.integers(1, 9)

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import Band, project_categories, project_depth, splat, validate_depth
-from tests.geometry.raycast import Box, cast, pixel_rays
+from imagination.utils.errors import UserError
+from tests.helpers.raycast import Box, cast, pixel_rays
 
 OBSTACLES = Band(0.2, 1.5)
 EVERYTHING = Band(-1.0, 3.0)

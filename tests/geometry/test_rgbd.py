@@ -5,12 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imagination.errors import UserError
 from imagination.geometry.camera import Camera
+from imagination.geometry.image_alignment import Alignment, valid_radius
 from imagination.geometry.pose import Pose
-from imagination.geometry.rgbd import Alignment, Intrinsics, Placement, RgbdCamera, valid_radius
+from imagination.geometry.rgbd import Intrinsics, Placement, RgbdCamera
 from imagination.scenes.renderer import Renderer
-from tests.rooms import tiny_room
+from imagination.utils.errors import UserError
+from tests.helpers.rooms import tiny_room
 
 TARGET = Camera.from_degrees(64, 64, 80.0, 1.2)
 POSE = Pose(0.6, -0.9, 2.2)

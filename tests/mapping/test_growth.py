@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from imagination.errors import UserError
 from imagination.geometry.crop import ego_to_grid
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
 from imagination.mapping.mapper import CHUNK, Mapper
-from imagination.mapping.registration import MovingAverage
+from imagination.mapping.update_rules import MovingAverage
+from imagination.utils.errors import UserError
 
 EGO = EgoGrid(0.1, 21)
 

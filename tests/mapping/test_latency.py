@@ -10,8 +10,8 @@ from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import Band, project_categories, project_depth
 from imagination.mapping.mapper import Mapper
-from imagination.mapping.registration import MovingAverage
-from tests.geometry.raycast import Box, cast
+from imagination.mapping.update_rules import MovingAverage
+from tests.helpers.raycast import Box, cast
 
 ROOM: Box = ((-1.0, -2.6, 0.0), (4.7, 2.1, 2.6))
 BOXES: list[Box] = [((2.0, -1.2, 0.0), (2.5, -0.4, 0.6)), ((3.4, 0.6, 0.0), (4.4, 1.6, 0.9))]

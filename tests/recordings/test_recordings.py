@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import yaml
 
-from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.geometry.pose import Pose
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
@@ -23,7 +22,8 @@ from imagination.recordings.images import read_depth
 from imagination.recordings.recording import BrokenRecordingError, Frame, Frames, Recording
 from imagination.recordings.scannet import ScanNetRecording
 from imagination.recordings.tum import Entry, TumRecording, associate, to_stamp
-from tests.robot import (
+from imagination.utils.errors import UserError
+from tests.helpers.robot import (
     BEGIN,
     ROS2,
     TICK,
@@ -132,7 +132,7 @@ def test_a_bag(tmp_path: Path, kind: str, odometry: bool) -> None:
 
 
 def test_a_bag_of_compressed_images(tmp_path: Path) -> None:
-    from tests.robot import COLOUR, DEPTH, OPTICAL, ROS2, Messages
+    from tests.helpers.robot import COLOUR, DEPTH, OPTICAL, ROS2, Messages
 
     messages = Messages(ROS2)
 
@@ -188,7 +188,7 @@ def test_a_bag_where_nothing_says_where_the_camera_sits(tmp_path: Path) -> None:
 
 
 def test_poses_are_interpolated_to_the_images_time(tmp_path: Path) -> None:
-    from tests.robot import ROS2, Messages
+    from tests.helpers.robot import ROS2, Messages
 
     messages = Messages(ROS2)
 
@@ -315,7 +315,7 @@ def test_rows_that_are_damaged(tmp_path: Path) -> None:
 def test_a_depth_camera_and_distortion_of_a_tum_folder() -> None:
     from hydra.utils import instantiate
 
-    from imagination.config import compose
+    from imagination.config.compose import compose
 
     values = "recording.camera.values"
     camera = instantiate(
@@ -336,9 +336,9 @@ def test_a_depth_camera_and_distortion_of_a_tum_folder() -> None:
 UNTYPED = """
 import sys
 from pathlib import Path
-from imagination.config import compose
-from imagination.deployment import configured
-from imagination.errors import UserError
+from imagination.config.compose import compose
+from imagination.deployment import mapper_from_config as configured
+from imagination.utils.errors import UserError
 from imagination.recordings.cameras import camera_of, mount_of
 from imagination.recordings.folder import FolderRecording
 
@@ -575,7 +575,7 @@ def test_one_damaged_transform_costs_only_itself(tmp_path: Path) -> None:
 def test_a_bag_of_before_tf2(tmp_path: Path) -> None:
     from rosbags.typesys import get_types_from_msg
 
-    from tests.robot import ROS1
+    from tests.helpers.robot import ROS1
 
     ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf/msg/tfMessage"))
 

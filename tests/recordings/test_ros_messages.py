@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imagination.errors import UserError
 from imagination.geometry.rgbd import Intrinsics
 from imagination.recordings.ros_messages import Pairing, intrinsics_of, is_rectified
 from imagination.recordings.trajectory import SECOND
-from tests.robot import ROS1, ROS2, Messages
+from imagination.utils.errors import UserError
+from tests.helpers.robot import ROS1, ROS2, Messages
 
 TICK = SECOND // 60
 """Between two images of one kind, less than the tolerance of pairs."""

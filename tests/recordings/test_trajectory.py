@@ -4,16 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from imagination.errors import UserError
-from imagination.recordings.trajectory import (
-    SECOND,
-    Jumps,
-    Order,
-    Trajectory,
-    Transforms,
-    interpolate,
-    matrix_of,
-)
+from imagination.recordings.pose_filters import Jumps, Order
+from imagination.recordings.tf_tree import Transforms
+from imagination.recordings.trajectory import SECOND, Trajectory, interpolate, matrix_of
+from imagination.utils.errors import UserError
 
 angles = st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3)
 
@@ -180,7 +174,7 @@ def test_a_stray_time_costs_itself_and_one_more() -> None:
 
 
 def test_frames_are_not_named_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imagination.recordings.trajectory.MOST_FRAMES", 3)
+    monkeypatch.setattr("imagination.recordings.tf_tree.MOST_FRAMES", 3)
     transforms = Transforms(0.5)
     for number in range(3):
         transforms.add("map", f"track_{number}", 0, np.eye(4), fixed=False)

@@ -7,22 +7,22 @@ import pytest
 import yaml
 from matplotlib.figure import Figure
 
-from imagination.evaluation import figures, style
-from imagination.evaluation.runs import Run
-from imagination.evaluation.style import COLOURS, LABELS, MEANINGS
+from imagination.evaluation.trials import Run
 from imagination.geometry.grid import Grid
-from imagination.reporting import map_figures, score_figures
 from imagination.reporting.content import of_run
-from imagination.reporting.page import drawings
-from imagination.reporting.results import Results
+from imagination.reporting.figures.maps import draw_poses, draw_scale_bar
+from imagination.reporting.figures.scores import precision_recall, reliability
+from imagination.reporting.html import drawings
+from imagination.reporting.load_run import Results
+from imagination.reporting.style import COLOURS, LABELS, MEANINGS, colours, label, theme
 from tests.conftest import ROOT
-from tests.reporting.folders import make_folder, make_maps
+from tests.helpers.run_folders import make_folder, make_maps
 
 
 def test_tallies_count_every_threshold() -> None:
     rng = np.random.default_rng(1)
     maps = [make_maps(Run(home, 3.0, 0), rng) for home in ("test_0000", "test_0002")]
-    tally = map_figures.tallies(maps)["mine", "bed"]  # test_0002 has no bed
+    tally = maps.tallies(maps)["mine", "bed"]  # test_0002 has no bed
     level, truth = maps[0].level[3, 1], maps[0].truth[1]
     for step in (1, 30, 99):
         predicted = level >= step
@@ -37,10 +37,10 @@ def test_precision_recall_and_reliability_by_brute_force() -> None:
     tally = np.array(
         [[(hit & (score >= t)).sum(), (~hit & (score >= t)).sum(), hit.sum()] for t in range(1, 100)]
     )
-    precision, recall = score_figures.precision_recall(tally)
+    precision, recall = precision_recall(tally)
     assert precision[49] == pytest.approx(hit[score >= 50].mean())
     assert recall[49] == pytest.approx((hit & (score >= 50)).sum() / hit.sum())
-    means, shares = score_figures.reliability(tally)
+    means, shares = reliability(tally)
     assert len(means) == 10
     for place in range(10):
         inside = (score >= 10 * place) & (score < 10 * place + 10)
@@ -56,9 +56,9 @@ def test_the_typical_run_is_the_median() -> None:
     for saved in maps:
         predicted, truth = saved.predicted[2, 0], saved.truth[0]
         scores.append((predicted & truth).sum() / (predicted | truth).sum())
-    found = map_figures.typical(maps, "chair", 2.0)
+    found = maps.typical(maps, "chair", 2.0)
     assert found is not None and found.run.number == int(np.argsort(scores)[2])
-    assert map_figures.typical(maps, "chair", 3.0) is None
+    assert maps.typical(maps, "chair", 3.0) is None
 
 
 def test_maps_are_the_right_way_up_and_to_scale() -> None:
@@ -67,26 +67,26 @@ def test_maps_are_the_right_way_up_and_to_scale() -> None:
     figure = Figure()
     axis = figure.subplots()
     axis.imshow(np.zeros((100, 80)))
-    figures.draw_poses(axis, np.array([[0.05, 0.05, np.pi / 2]]), grid, (slice(10, 90), slice(5, 80)))
+    draw_poses(axis, np.array([[0.05, 0.05, np.pi / 2]]), grid, (slice(10, 90), slice(5, 80)))
     arrows = axis.collections[0]
     assert arrows.get_offsets().tolist() == [[20 - 5, 69 - 10]]  # column and row of the cell, in the window
     assert float(arrows.U[0]) == pytest.approx(0, abs=1e-6)  # type: ignore[attr-defined]
     assert float(arrows.V[0]) == pytest.approx(-5)  # type: ignore[attr-defined]
     assert axis.get_ylim()[0] > axis.get_ylim()[1]  # rows grow downwards
-    figures.draw_scale_bar(axis, grid.resolution)
+    draw_scale_bar(axis, grid.resolution)
     bar = axis.lines[-1].get_xdata()
     assert np.ptp(bar) * grid.resolution == pytest.approx(2.0)
 
 
 def test_known_approaches_keep_their_colours_and_others_get_their_own() -> None:
     few, many = (
-        style.colours(["imagination", "mine"]),
-        style.colours(["seg_gt", "mine", "imagination", "yours"]),
+        colours(["imagination", "mine"]),
+        colours(["seg_gt", "mine", "imagination", "yours"]),
     )
     assert few["imagination"] == many["imagination"]
     assert few["mine"] == many["mine"]
     assert len(set(many.values())) == 4
-    assert style.label("mine") == "mine"
+    assert label("mine") == "mine"
 
 
 def test_every_figure_of_a_folder_is_drawn_in_both_themes(tmp_path: Path) -> None:
@@ -97,7 +97,7 @@ def test_every_figure_of_a_folder_is_drawn_in_both_themes(tmp_path: Path) -> Non
                  "precision_recall_views", "reliability_maps", "reliability_network"):  # fmt: skip
         assert {f"{kind}_chair", f"{kind}_bed"} <= set(stems)
     assert "viewpoints" in stems
-    with style.theme("dark"):
+    with theme("dark"):
         figure = next(drawings(content)).draw()
         assert figure.get_facecolor() != (1, 1, 1, 1)
         axis = figure.axes[0]
@@ -121,5 +121,5 @@ def test_each_viewpoint_set_is_drawn_once() -> None:
         (maps, ["3 m, set 0", "3 m, set 1", "2 m, set 0"]),
         (maps[:2], ["3 m, set 0", "3 m, set 1"]),
     ):
-        titles = [axis.get_title().partition("\n")[0] for axis in map_figures.draw_viewpoints(some).axes]
+        titles = [axis.get_title().partition("\n")[0] for axis in maps.draw_viewpoints(some).axes]
         assert titles == [f"test_0000, cell width {told}" for told in shown]

@@ -17,15 +17,16 @@ from typing import NamedTuple
 
 from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
-from imagination import runs
-from imagination.checkpoints import Checkpoint, read_state
-from imagination.data.corpus import ABOUT, INDEX
+from imagination.data.shards.writer import ABOUT, INDEX
 from imagination.deployment.export import export
+from imagination.runs.checkpoint import Checkpoint, read_state
+from imagination.runs.folder import BEST, COMPOSED, CONFIG, LAST
+from imagination.utils.atomic_io import PART
 from tests.conftest import ROOT
-from tests.deployment.checkpoints import make_checkpoint, samples
-from tests.modules import CAMERA
-from tests.robot import corridor_path, drive, record_tum
-from tests.rooms import tiny_room
+from tests.helpers.checkpoints import make_checkpoint, samples
+from tests.helpers.robot import corridor_path, drive, record_tum
+from tests.helpers.rooms import tiny_room
+from tests.helpers.toy_units import CAMERA
 
 Result = dict[str, bytes]
 """What a run leaves, by name."""
@@ -45,7 +46,7 @@ TICK = 0.005
 HANGS = 300.0
 """Seconds after which a process will not end any more."""
 
-PART = f"*{runs.PART}"
+PART = f"*{PART}"
 """Names of what is half-written, in run folders as in the cache."""
 
 
@@ -74,9 +75,9 @@ class Job:
 
 def trained(run: Path) -> Done:
     """Steps of training in the last checkpoint."""
-    if not (run / runs.LAST).is_file():
+    if not (run / LAST).is_file():
         return {}
-    return {str(read_state(run / runs.LAST)["global_step"]): time.time_ns()}
+    return {str(read_state(run / LAST)["global_step"]): time.time_ns()}
 
 
 def trained_again(run: Path, done: Done) -> list[str]:
@@ -104,18 +105,18 @@ def written_again(corpus: Path, done: Done) -> list[str]:
 
 def read_training(run: Path) -> Result:
     """Tables and weights; nothing before the run has ended."""
-    states = {path: read_state(run / path) for path in (runs.LAST, runs.BEST) if (run / path).is_file()}
+    states = {path: read_state(run / path) for path in (LAST, BEST) if (run / path).is_file()}
     tables = [run / "tables" / name for name in ("mapping.csv", "ego.csv")]
     if not all(table.is_file() for table in tables):
         return {}
-    weights = {name: value.numpy().tobytes() for name, value in states[runs.LAST]["state_dict"].items()}
+    weights = {name: value.numpy().tobytes() for name, value in states[LAST]["state_dict"].items()}
     return weights | {table.name: table.read_bytes() for table in tables}
 
 
 def read_map(run: Path) -> Result:
     """All files but those with dates or paths."""
     files = [path for path in run.iterdir() if path.is_file()]
-    return {path.name: path.read_bytes() for path in files if path.name not in ("run.log", runs.CONFIG)}
+    return {path.name: path.read_bytes() for path in files if path.name not in ("run.log", CONFIG)}
 
 
 def read_corpus(corpus: Path) -> Result:
@@ -141,7 +142,9 @@ def jobs(folder: Path) -> list[Job]:
     return [
         Job("train", train, "outputs/chair_unet/latest", read_training, True, trained, trained_again),
         Job("map", drive_words, "outputs/map/latest", read_map, cached=False),
-        Job("render", (*render, f"+shards={corpus}"), corpus, read_corpus, True, written, written_again),
+        Job(
+            "prepare_shards", (*render, f"shards={corpus}"), corpus, read_corpus, True, written, written_again
+        ),
     ]
 
 
@@ -304,7 +307,7 @@ class Faults:
     ) -> "subprocess.Popen[bytes]":
         """Start a job in its folder, or let it go on; its cache is there as well unless another is given."""
         folder.mkdir(exist_ok=True)
-        begun = (folder / job.result / runs.COMPOSED).is_file()  # which only training can go on with
+        begun = (folder / job.result / COMPOSED).is_file()  # which only training can go on with
         words = ["resume=latest"] if begun else [*job.words]
         words += [f"paths.cache={cache or folder / 'cache'}"]
         process = subprocess.Popen(

@@ -21,7 +21,7 @@ from time import monotonic
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from imagination.errors import check_range
+from imagination.utils.errors import check_range
 from tests.robustness.page import read_part, write_part
 from tests.robustness.parsers import PARSERS, Parser
 

@@ -24,20 +24,20 @@ from types import TracebackType
 
 import numpy as np
 
-from imagination.checkpoints import read_state
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import Band, project_depth
 from imagination.mapping.mapper import Mapper
-from imagination.mapping.registration import MovingAverage
-from imagination.runs import LAST
+from imagination.mapping.update_rules import MovingAverage
+from imagination.runs.checkpoint import read_state
+from imagination.runs.folder import LAST
 from imagination.scenes.renderer import Renderer
-from imagination.views.poses import sample_poses
+from imagination.views.pose_samplers import sample_poses
 from tests.conftest import ROOT
+from tests.helpers.rooms import tiny_room
 from tests.robustness.faults import Faults, disk, jobs, memory
 from tests.robustness.page import write_part
-from tests.rooms import tiny_room
 
 FLAT = 1.1
 """How much memory may grow from the first round of faults to the last, times."""
@@ -49,10 +49,10 @@ HERE = "this process"
 
 TEST = "scale=test", "scale.workers=1"
 TRAIN_ON = "train", "+experiment=chair_unet", *TEST, "scale.rounds=1000000", "scale.eval_every=200"
-RENDER_ON = "render", "+shards=corpus", *TEST, "scale.homes.train=9999", "views=16"
+RENDER_ON = "prepare_shards", "shards=corpus", *TEST, "scale.homes.train=9999", "views=16"
 """What goes on behind the faults."""
 
-COLUMNS = {"train": "training", "map": "mapping", "render": "rendering"}
+COLUMNS = {"train": "training", "map": "mapping", "prepare_shards": "rendering"}
 """Of the table: jobs."""
 
 ROWS = (

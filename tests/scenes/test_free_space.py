@@ -5,10 +5,10 @@ import pytest
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
-from imagination.errors import UserError
 from imagination.scenes.free_space import free_space
 from imagination.scenes.scene import FreeSpace, Mesh
-from tests.rooms import ROBOT_RADIUS, MeshBuilder, tiny_room
+from imagination.utils.errors import UserError
+from tests.helpers.rooms import ROBOT_RADIUS, MeshBuilder, tiny_room
 
 RESOLUTION = 0.05
 

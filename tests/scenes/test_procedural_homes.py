@@ -10,11 +10,12 @@ from embreex.rtcore_scene import EmbreeScene
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from imagination.categories import Category, CategoryTable
-from imagination.errors import UserError
+from imagination.scenes.categories import Category, CategoryTable
+from imagination.scenes.procedural.furniture.styles import families_of
 from imagination.scenes.procedural.source import ProceduralHomes
-from imagination.scenes.procedural.styles import families_of
-from imagination.scenes.scene import SPLITS, Scene, SceneObject, SceneSource, SpareHomes
+from imagination.scenes.scene import Scene, SceneObject
+from imagination.scenes.source import SPLITS, SceneSource, SpareHomes
+from imagination.utils.errors import UserError
 
 MEMBERS = {
     "chair": ["chair", "office_chair", "armchair"],

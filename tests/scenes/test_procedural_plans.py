@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imagination.scenes.procedural.floor_plan import OUTSIDE, WALL, Plan
-from imagination.scenes.procedural.layouts import draw_plan
+from imagination.scenes.procedural.floor_plan.layouts import draw_plan
+from imagination.scenes.procedural.floor_plan.plan import OUTSIDE, WALL, Plan
 
 PLANS = [draw_plan(np.random.default_rng(seed)) for seed in range(120)]
 

@@ -6,13 +6,13 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from imagination.scenes.procedural import shapes
-from imagination.scenes.procedural.families import FAMILIES
-from imagination.scenes.procedural.palette import Palette
-from imagination.scenes.procedural.pieces import box_uv
-from imagination.scenes.procedural.shapes import Solid
-from imagination.scenes.procedural.stock import STYLED
-from imagination.scenes.procedural.styles import draw_style
+from imagination.scenes.building_blocks import shapes
+from imagination.scenes.building_blocks.palette import Palette
+from imagination.scenes.building_blocks.pieces import box_uv
+from imagination.scenes.building_blocks.shapes import Solid
+from imagination.scenes.procedural.furniture.families import FAMILIES
+from imagination.scenes.procedural.furniture.stock import STYLED
+from imagination.scenes.procedural.furniture.styles import draw_style
 
 HALF_TURN = np.linspace(0, np.pi, 40)
 ARC = np.stack(

@@ -5,9 +5,9 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 
-from imagination.scenes.procedural.families import FAMILIES
-from imagination.scenes.procedural.styles import draw_style, families_of
-from imagination.scenes.scene import SPLITS
+from imagination.scenes.procedural.furniture.families import FAMILIES
+from imagination.scenes.procedural.furniture.styles import draw_style, families_of
+from imagination.scenes.source import SPLITS
 
 CATEGORIES = {
     "chair": {"chair", "office_chair", "armchair"},

@@ -7,11 +7,11 @@ from multiprocessing.connection import Connection
 import numpy as np
 import pytest
 
-from benchmarks.subjects import with_triangles
 from imagination.geometry.camera import Camera
 from imagination.geometry.pose import Pose
 from imagination.scenes.renderer import Renderer
-from imagination.views.poses import sample_poses
+from imagination.views.pose_samplers import sample_poses
+from tests.benchmarks.subjects import with_triangles
 from tests.scenes.test_procedural_homes import homes
 
 TRIANGLES, VIEWS, ROUNDS = 250_000, 100, 7

@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.geometry.pose import Pose
 from imagination.scenes.renderer import Image, Renderer
 from imagination.scenes.scene import Lighting, Material, Mesh
 from imagination.scenes.sensor import IdealSensor
-from tests.rooms import BED, CHAIR, TABLE, MeshBuilder, tiny_room
+from imagination.utils.errors import UserError
+from tests.helpers.rooms import BED, CHAIR, TABLE, MeshBuilder, tiny_room
 
 CAMERA = Camera(32, 24, 1.3, 1.25)
 DARK = Lighting((1.0, 1.0, 1.0))

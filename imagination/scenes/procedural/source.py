@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from imagination.categories import CategoryTable
-from imagination.errors import UserError, check_range
 from imagination.scenes import free_space as free_space_module
-from imagination.scenes.procedural.home import build_home
-from imagination.scenes.procedural.stock import LABELS, Furniture, ProceduralFurniture
-from imagination.scenes.scene import SPLITS, Credit, Scene, Split
+from imagination.scenes.categories import CategoryTable
+from imagination.scenes.procedural.furniture.stock import LABELS, Furniture, ProceduralFurniture
+from imagination.scenes.procedural.scene_builder import build_home
+from imagination.scenes.scene import Scene
+from imagination.scenes.source import SPLITS, Credit, Split
+from imagination.utils.errors import UserError, check_range
 
 SOURCE = "procedural"
 

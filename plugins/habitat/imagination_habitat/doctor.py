@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
 
-from imagination.doctor import Finding
+from imagination.utils.diagnostics import Finding
 
 VERSION = "0.3"
 TRIAL = """

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from imagination.errors import UserError
 from imagination.geometry.camera import Camera
 from imagination.scenes.renderer import Image
+from imagination.utils.errors import UserError
 from imagination_habitat.frames import camera_state
 
 TALLEST = 1.5

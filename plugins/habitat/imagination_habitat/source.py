@@ -10,11 +10,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imagination.categories import CategoryTable
-from imagination.errors import UserError, check_choice
 from imagination.geometry.camera import Camera
-from imagination.scenes.scene import SPLITS, FreeSpace, Lighting, Mesh, Scene, SceneObject, Split
-from imagination.views.poses import sample_poses
+from imagination.scenes.categories import CategoryTable
+from imagination.scenes.scene import FreeSpace, Lighting, Mesh, Scene, SceneObject
+from imagination.scenes.source import SPLITS, Split
+from imagination.utils.errors import UserError, check_choice
+from imagination.views.pose_samplers import sample_poses
 from imagination_habitat.frames import free_grid, upright
 from imagination_habitat.simulator import CELL_HEIGHT, SIMULATORS, HabitatRenderer, make_navmesh
 

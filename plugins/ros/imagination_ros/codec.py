@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from imagination.errors import UserError, check_choice, require_extra
 from imagination.geometry.grid import Grid
-from imagination.mapping.maps import Layer, MapObject
+from imagination.mapping.semantic_map import Layer, MapObject
 from imagination.recordings.trajectory import SECOND
+from imagination.utils.errors import UserError, check_choice, require_extra
 
 GRID, MARKERS = "nav_msgs/msg/OccupancyGrid", "visualization_msgs/msg/MarkerArray"
 

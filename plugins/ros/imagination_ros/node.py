@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imagination.errors import UserError
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
-from imagination.mapping.semantic import SemanticMapper
+from imagination.mapping.semantic_mapper import SemanticMapper
 from imagination.recordings.cameras import mount_of
+from imagination.recordings.pose_filters import Jumps
 from imagination.recordings.ros_messages import (
     Pairing,
     colour_of,
@@ -25,7 +25,9 @@ from imagination.recordings.ros_messages import (
     stamp_of,
     transform_of,
 )
-from imagination.recordings.trajectory import JUMP, SECOND, Jumps, Transforms
+from imagination.recordings.tf_tree import Transforms
+from imagination.recordings.trajectory import JUMP, SECOND
+from imagination.utils.errors import UserError
 from imagination_ros.codec import GRID, MARKERS, Codec
 
 log = logging.getLogger(__name__)

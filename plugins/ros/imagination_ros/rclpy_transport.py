@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from imagination.errors import UserError
+from imagination.utils.errors import UserError
 from imagination_ros.codec import Codec
 
 log = logging.getLogger(__name__)

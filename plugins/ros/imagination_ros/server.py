@@ -6,7 +6,6 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from imagination.errors import check_range
 from imagination.recordings.ros_messages import (
     CAMERA_INFO,
     COMPRESSED,
@@ -15,6 +14,7 @@ from imagination.recordings.ros_messages import (
     TRANSFORMS,
     is_rectified,
 )
+from imagination.utils.errors import check_range
 from imagination_ros.codec import Codec
 from imagination_ros.node import MakeMapper, MappingNode
 

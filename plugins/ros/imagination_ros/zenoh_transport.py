@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from imagination.errors import UserError, check_range, require_extra
+from imagination.utils.errors import UserError, check_range, require_extra
 from imagination_ros.codec import Codec
 
 HEADROOM = 4

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, UInt8
 
-from imagination.errors import UserError
 from imagination.scenes.scene import Material, Mesh, OrientedBox
+from imagination.utils.errors import UserError
 
 FLAT = 0.95
 """Least vertical share of the unit normal of floors and ceilings."""

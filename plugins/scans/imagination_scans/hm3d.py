@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imagination.errors import UserError
-from imagination.scenes.scene import Material, Split
+from imagination.scenes.scene import Material
+from imagination.scenes.source import Split
+from imagination.utils.errors import UserError
 from imagination_scans.building import GREY, Building, ScannedObject, check_building, coloured
 from imagination_scans.layouts import check_id, lot, split_lists
 

@@ -8,8 +8,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from imagination.errors import UserError
-from imagination.scenes.scene import SPLITS, Split
+from imagination.scenes.source import SPLITS, Split
+from imagination.utils.errors import UserError
 from imagination_scans.building import GREY, MAX_ID, Building
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from imagination.errors import UserError
-from imagination.scenes.scene import Split
+from imagination.scenes.source import Split
+from imagination.utils.errors import UserError
 from imagination_scans.building import Building, ScannedObject, check_building, coloured
 from imagination_scans.layouts import (
     check_id,

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from imagination.cache import Cache
-from imagination.categories import CategoryTable
-from imagination.errors import UserError, check_choice
-from imagination.ground_truth.maps import needed_extent
+from imagination.ground_truth.scene_maps import needed_extent
+from imagination.scenes.categories import CategoryTable
 from imagination.scenes.free_space import free_space
-from imagination.scenes.scene import SPLITS, Credit, Lighting, Scene, SceneObject, Split
+from imagination.scenes.scene import Lighting, Scene, SceneObject
+from imagination.scenes.source import SPLITS, Credit, Split
+from imagination.utils.cache import Cache
+from imagination.utils.errors import UserError, check_choice
 from imagination_scans.building import Building, Floor, ScannedObject, cut, floors_of, mesh_of, upright_box
 from imagination_scans.layouts import Layout
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from imagination.errors import UserError
+from imagination.utils.errors import UserError
 
 MAX_MEMBER = 64 * 2**20
 """Most bytes that one member may unpack to."""

@@ -6,9 +6,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from imagination.cache import Cache
-from imagination.doctor import Finding
-from imagination.errors import UserError
+from imagination.utils.cache import Cache
+from imagination.utils.diagnostics import Finding
+from imagination.utils.errors import UserError
 from imagination_sweethome3d.catalogue import read_catalogue
 from imagination_sweethome3d.furniture import (
     VARIABLE,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from imagination.errors import UserError
+from imagination.utils.errors import UserError
 from imagination_sweethome3d.archives import MAX_TEXT, Archive, opened
 
 PROPERTIES = "PluginFurnitureCatalog.properties"

@@ -11,12 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imagination.cache import Cache
-from imagination.errors import UserError
-from imagination.scenes.procedural.palette import Finish, Palette
-from imagination.scenes.procedural.pieces import Piece, Seat, Surface
-from imagination.scenes.procedural.stock import STYLED, ProceduralFurniture
-from imagination.scenes.scene import SPLITS, Credit, Material, Split
+from imagination.scenes.building_blocks.palette import Finish, Palette
+from imagination.scenes.building_blocks.pieces import Piece, Seat, Surface
+from imagination.scenes.procedural.furniture.stock import STYLED, ProceduralFurniture
+from imagination.scenes.scene import Material
+from imagination.scenes.source import SPLITS, Credit, Split
+from imagination.utils.cache import Cache
+from imagination.utils.errors import UserError
 from imagination_sweethome3d.archives import opened
 from imagination_sweethome3d.catalogue import Catalogue, Entry, fingerprint, read_catalogue
 from imagination_sweethome3d.labels import label_of, only_sounds

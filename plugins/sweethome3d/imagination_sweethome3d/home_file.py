@@ -11,7 +11,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from imagination.errors import UserError
+from imagination.utils.errors import UserError
 from imagination_sweethome3d.archives import MAX_TEXT, opened
 
 HOME = "Home.xml"

@@ -11,15 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from imagination.categories import Category, CategoryTable
-from imagination.errors import UserError, check_choice
+from imagination.scenes.building_blocks.assembly import assemble, object_of
+from imagination.scenes.building_blocks.palette import Finish
+from imagination.scenes.building_blocks.pieces import Assembly, Piece, Placed
+from imagination.scenes.building_blocks.shapes import box
+from imagination.scenes.categories import Category, CategoryTable
 from imagination.scenes.free_space import free_space
-from imagination.scenes.procedural.home import assemble, object_of
-from imagination.scenes.procedural.palette import Finish
-from imagination.scenes.procedural.pieces import Assembly, Piece, Placed
-from imagination.scenes.procedural.shapes import box
 from imagination.scenes.procedural.source import SOURCE
-from imagination.scenes.scene import SPLITS, Credit, Lighting, Material, Scene, Split
+from imagination.scenes.scene import Lighting, Material, Scene
+from imagination.scenes.source import SPLITS, Credit, Split
+from imagination.utils.errors import UserError, check_choice
 from imagination_sweethome3d.archives import Archive, opened
 from imagination_sweethome3d.catalogue import Entry, fingerprint, names_in_all_languages, read_catalogue
 from imagination_sweethome3d.furniture import code_version, entry_label, find_archives

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from imagination.errors import UserError
-from imagination.scenes.procedural.palette import Finish
+from imagination.scenes.building_blocks.palette import Finish
 from imagination.scenes.scene import Material
+from imagination.utils.errors import UserError
 from imagination_sweethome3d.archives import Archive
 from imagination_sweethome3d.obj import Look, ObjMesh, read_obj
 

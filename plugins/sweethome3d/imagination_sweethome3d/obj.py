@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from PIL import Image
 
-from imagination.errors import UserError
+from imagination.utils.errors import UserError
 from imagination_sweethome3d.archives import Archive
 
 MAX_ELEMENTS = 500_000

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from imagination.geometry.grid import Grid
+from imagination.scenes.building_blocks.pieces import Seat, Surface
 from imagination.scenes.free_space import cells_below
-from imagination.scenes.procedural.pieces import Seat, Surface
 
 CELL = 0.02
 """Side of the cells in which room for knees is looked for, metres."""

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from imagination.errors import UserError
-from imagination.scenes.procedural.palette import Finish
-from imagination.scenes.procedural.pieces import Assembly, Piece
-from imagination.scenes.procedural.shapes import Solid, box
+from imagination.scenes.building_blocks.palette import Finish
+from imagination.scenes.building_blocks.pieces import Assembly, Piece
+from imagination.scenes.building_blocks.shapes import Solid, box
 from imagination.scenes.scene import Material
+from imagination.utils.errors import UserError
 from imagination_sweethome3d.home_file import Colour, HomePiece, Level, Room, Wall
 
 SILL = 0.15

@@ -6,18 +6,18 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from imagination import plugins
+from imagination.config.plugin_registry import activate
 from tests.robustness.parsers.parser import Examples, Parse, Parser
 
 PARSERS: list[Parser] = []
 
 if find_spec("rosbags") is not None:  # an optional extra
-    plugins.activate()
+    activate()
     from imagination_ros.codec import Codec
 
     from imagination.recordings.images import COMPRESSED_DEPTH_HEADER
     from imagination.recordings.ros_messages import COMPRESSED, IMAGE, colour_of, depth_of
-    from tests.robot import ROS2, Messages, spoken
+    from tests.helpers.robot import ROS2, Messages, spoken
     from tests.robustness.parsers.recordings import CAMERA, depths, frames, images
 
     @cache

@@ -3,12 +3,12 @@
 import tempfile
 from pathlib import Path
 
-from imagination.data.corpus import ABOUT, INDEX, Recipe, unwritten, write_home, write_index
-from imagination.data.shards import Shards
-from imagination.views.samplers import UniformPoses
-from tests.data.test_collecting import observer
+from imagination.data.shards.reader import Shards
+from imagination.data.shards.writer import ABOUT, INDEX, Recipe, unwritten, write_home, write_index
+from imagination.views.pose_samplers import UniformPoses
+from tests.data.test_datamodule import observer
+from tests.helpers.room_source import Rooms
 from tests.robustness.parsers.parser import Parser, exchanged, kept
-from tests.sources import Rooms
 
 HOME = "train_0"
 

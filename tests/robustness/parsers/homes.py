@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from imagination import plugins
+from imagination.config.plugin_registry import activate
+from tests.helpers import sweet_home
 from tests.robustness.parsers.parser import SPLIT, Parser, within
-from tests.scene_sources import sweet_home
 
-plugins.activate()
+activate()
 
 
 def home(path: Path) -> object:

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from imagination.geometry.grid import Grid
-from imagination.mapping import files
-from imagination.mapping.maps import Maps
+from imagination.mapping import map_io
+from imagination.mapping.semantic_map import Maps
 from tests.robustness.parsers.parser import Parser, exchanged, kept, resealed
 
 
@@ -18,15 +18,15 @@ def save(folder: Path) -> None:
     known = np.ones((20, 20), np.bool_)
     grid = Grid(0.05, 20, 20, (0.0, 0.0))
     maps = Maps(grid, "map", ("chair",), (0.5,), probabilities, known[None], probabilities[0], known)
-    files.save_maps(folder, maps, [(200, 0, 0)])
+    map_io.save_maps(folder, maps, [(200, 0, 0)])
 
 
 def load_layer(folder: Path) -> object:
-    return files.load_layer(folder / "map.yaml")
+    return map_io.load_layer(folder / "map.yaml")
 
 
 def load_objects(folder: Path) -> object:
-    return files.load_objects(folder / files.OBJECTS)
+    return map_io.load_objects(folder / map_io.OBJECTS)
 
 
 def images() -> list[bytes]:
@@ -44,7 +44,7 @@ PARSERS = [
     Parser("map-map.yaml", *exchanged(MAP, "map.yaml", load_layer)),
     Parser("map-map.pgm", *exchanged(MAP, "map.pgm", load_layer)),
     Parser("map-image", exchanged(MAP, "map.pgm", load_layer)[0], images),
-    Parser("map-semantic.npz", *exchanged(MAP, files.SEMANTIC, files.load_maps)),
-    Parser("map-semantic-resealed", *resealed(*exchanged(MAP, files.SEMANTIC, files.load_maps))),
-    Parser("map-objects.geojson", *exchanged(MAP, files.OBJECTS, load_objects)),
+    Parser("map-semantic.npz", *exchanged(MAP, map_io.SEMANTIC, map_io.load_maps)),
+    Parser("map-semantic-resealed", *resealed(*exchanged(MAP, map_io.SEMANTIC, map_io.load_maps))),
+    Parser("map-objects.geojson", *exchanged(MAP, map_io.OBJECTS, load_objects)),
 ]

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from imagination.errors import UserError
+from imagination.utils.errors import UserError
 
 Parse = Callable[[Path], object]
 Examples = Callable[[], Sequence[bytes]]

@@ -15,7 +15,7 @@ from imagination.recordings.folder import FolderRecording
 from imagination.recordings.recording import Frames, Recording
 from imagination.recordings.scannet import ScanNetRecording
 from imagination.recordings.tum import TumRecording
-from tests.robot import BEGIN, TICK, Taken, raw, record_bag, record_folder, record_tum, seconds
+from tests.helpers.robot import BEGIN, TICK, Taken, raw, record_bag, record_folder, record_tum, seconds
 from tests.robustness.parsers.parser import Examples, Parse, Parser, exchanged, kept
 
 CAMERA = Camera.from_degrees(24, 16, 80.0, 1.1)

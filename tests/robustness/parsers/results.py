@@ -4,15 +4,15 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from imagination import members
-from imagination.evaluation import style
-from imagination.members import FILE
 from imagination.report import read
-from imagination.reporting import page
+from imagination.reporting import html
 from imagination.reporting.content import Drawing
-from imagination.reporting.layout import to_csv, to_latex, to_markdown
-from tests.reporting.folders import APPROACHES, CATEGORIES, WIDTHS, make_folder
-from tests.reporting.test_results import log
+from imagination.reporting.paper_layout import to_csv, to_latex, to_markdown
+from imagination.reporting.style import THEMES
+from imagination.runs import sweep_jobs
+from imagination.runs.sweep_jobs import FILE
+from tests.helpers.run_folders import APPROACHES, CATEGORIES, WIDTHS, make_folder
+from tests.reporting.test_load_run import log
 from tests.robustness.parsers.parser import Parser, exchanged, kept, resealed
 
 MAPS, SINGLES = "maps/test_0000_3m_0.npz", "single_views.npz"
@@ -59,15 +59,15 @@ def report(*figures: str) -> Callable[[Path], object]:
     """What makes the page and the tables, and, where nothing was refused, those figures, small: they take long."""
 
     def picture(drawing: Drawing) -> str:
-        return str(len(page.png(drawing, "light", 15)[1])) if drawing.stem.startswith(figures) else ""
+        return str(len(html.png(drawing, "light", 15)[1])) if drawing.stem.startswith(figures) else ""
 
     def made(folder: Path) -> object:
         content = read(folder)
         for table in (table for section in content.sections for table in section.layouts):
             to_csv(table), to_markdown(table), to_latex(table)
         drawn = (lambda _: "") if content.problems else picture
-        template = page.environment().get_template("page.html.j2")
-        return template.render(content=content, picture=drawn, colours=style.THEMES)
+        template = html.environment().get_template("page.html.j2")
+        return template.render(content=content, picture=drawn, colours=THEMES)
 
     return made
 
@@ -95,6 +95,6 @@ PARSERS = [
     Parser("results-curves", *exchanged(RESULTS, EVENTS, report("curve"))),
     Parser("sweep-config.yaml", *exchanged(SWEEP, "1/config.yaml", sweep)),
     Parser("sweep-members.csv", *exchanged(SWEEP, FILE, sweep)),
-    Parser("sweep-resumed", *exchanged(SWEEP, FILE, members.read)),
+    Parser("sweep-resumed", *exchanged(SWEEP, FILE, sweep_jobs.read)),
     Parser("sweep-multirun.yaml", *exchanged(SWEEP, "multirun.yaml", sweep)),
 ]

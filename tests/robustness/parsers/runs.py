@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from omegaconf import OmegaConf
 
-from imagination.cache import MAGIC, DamagedError, decode, encode
-from imagination.checkpoints import KEY, Checkpoint, ConfigInCheckpoint
-from imagination.config import compose
-from imagination.plugins import Plugin, _examine, check
-from imagination.resume import END, _read
+from imagination.config.compose import compose
+from imagination.config.plugin_registry import Plugin, _examine, check
+from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint
+from imagination.runs.resume import END, _read
+from imagination.utils.cache import MAGIC, DamagedError, decode, encode
 from tests.robustness.parsers.parser import Parser, resealed
 
 
@@ -72,7 +72,9 @@ def plugin(path: Path) -> str:
 
 PARSERS = [
     Parser("config", _read, configs),
-    Parser("plugin-conf", plugin, lambda: [b"_target_: imagination.errors.UserError\nkey: [1, 2.5, a]\n"]),
+    Parser(
+        "plugin-conf", plugin, lambda: [b"_target_: imagination.utils.errors.UserError\nkey: [1, 2.5, a]\n"]
+    ),
     Parser("checkpoint", config_of, checkpoints),
     Parser("checkpoint-resealed", *resealed(config_of, checkpoints)),
     Parser("cache", lambda path: decode(path.read_bytes()), entries, (DamagedError,)),

@@ -5,19 +5,19 @@ from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from imagination import plugins
+from imagination.config.plugin_registry import activate
 from tests.robustness.parsers.parser import Parser, exchanged, kept
 
 PARSERS: list[Parser] = []
 
 if find_spec("plyfile") is not None and find_spec("trimesh") is not None:  # an optional extra
-    plugins.activate()
+    activate()
     from imagination_scans.hm3d import HM3D
     from imagination_scans.layouts import Layout, split_lists
     from imagination_scans.matterport3d import Matterport3D
     from imagination_scans.replica import Replica
 
-    from tests.scene_sources import buildings
+    from tests.helpers import scanned_buildings as buildings
 
     def scan(name: str, layout: Layout, stem: str, main: str, endings: list[str]) -> list[Parser]:
         """Read a building of which the file with an ending is exchanged."""

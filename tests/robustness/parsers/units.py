@@ -7,13 +7,13 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from imagination.baselines.ade20k import fill, read, renamed
 from imagination.deployment.load import load
-from imagination.deployment.onnx_module import KEY, NAMES, arrays
-from imagination.deployment.torch_module import ENTRY, inputs
-from imagination.mapping.module import Description
-from tests.deployment.checkpoints import samples
-from tests.modules import EGO, Toy
+from imagination.deployment.onnx_backend import KEY, NAMES, arrays
+from imagination.deployment.torch_backend import ENTRY, inputs
+from imagination.mapping.predictor import Description
+from imagination.models.segmentation.ade20k import fill, read, renamed
+from tests.helpers.checkpoints import samples
+from tests.helpers.toy_units import EGO, Toy
 from tests.robustness.parsers.parser import Parser, exchanged, kept, resealed
 
 TEXT = Toy("chair", "bed").description.to_json()

@@ -19,7 +19,7 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, open_dict
 
-from imagination.errors import UserError, require_extra
+from imagination.utils.errors import UserError, require_extra
 
 
 class RayLauncher(Launcher):

@@ -1,0 +1,66 @@
+"""Training until the validation score no longer rises."""
+
+import logging
+from typing import Any
+
+from lightning import Callback, LightningModule, Trainer
+
+from imagination.utils.errors import check_range
+
+log = logging.getLogger(__name__)
+
+
+class UntilFlat(Callback):
+    """Ends training when the score is flat, after as many rounds as the learning rate's schedule has.
+
+    Flat means that for `patience` validations in a row it was not above the best one by `margin`. Its state lies in
+    checkpoints, so that a resumed run does the same.
+
+    Args:
+        monitor: the score, e.g. "val/iou"; more is better.
+        patience: validations.
+        margin: by which a score must be above the best one.
+        min_rounds: before which training does not end, as the learning rate still falls.
+    """
+
+    def __init__(self, monitor: str, patience: int, margin: float, min_rounds: int) -> None:
+        self.monitor = monitor
+        self.patience = int(check_range("until_flat.patience", patience, 1, 10_000, "validations"))
+        self.margin = check_range("until_flat.margin", margin, 0.0, 1.0)
+        self.min_rounds = int(check_range("until_flat.min_rounds", min_rounds, 1, 10**9, "rounds"))
+        self._best, self._waited = float("-inf"), 0
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        score = float(trainer.callback_metrics[self.monitor])
+        if score > self._best + self.margin:
+            self._best, self._waited = score, 0
+            return
+        self._waited += 1
+        self._end_if_flat(trainer, trainer.current_epoch + 1)
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._end_if_flat(trainer, trainer.current_epoch)  # a finished run that is resumed
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if not self.flat or trainer.current_epoch < self.min_rounds:
+            log.warning(
+                "Training ended after %d rounds, before %s was flat and %d rounds were done, those of its schedule; "
+                "raise trainer.max_epochs and go on with resume",
+                trainer.current_epoch,
+                self.monitor,
+                self.min_rounds,
+            )
+
+    @property
+    def flat(self) -> bool:
+        """Whether the newest scores are not above the best one before them."""
+        return self._waited >= self.patience
+
+    def _end_if_flat(self, trainer: Trainer, rounds: int) -> None:
+        trainer.should_stop = trainer.should_stop or (self.flat and rounds >= self.min_rounds)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"best": self._best, "waited": self._waited, "flat": self.flat}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self._best, self._waited = state_dict["best"], state_dict["waited"]

@@ -1,0 +1,70 @@
+"""What a checkpoint's weights took: rounds, samples, views and minutes."""
+
+from time import monotonic, perf_counter
+from typing import Any
+
+import torch
+from lightning import Callback, LightningModule, Trainer
+
+from imagination.callbacks.unit_images import last_step
+from imagination.data.collate import Batch
+from imagination.utils.process_group import ranks
+
+
+class TrainingRecord(Callback):
+    """Counts over all resumptions of a run; the counts lie in its checkpoints and go into an evaluation's tables.
+
+    Logs how fast training is, drawing batches included; which share of a round waits for its collection or lies between
+    steps (batches, loggers); and where on the axis of steps loggers show a validation.
+    """
+
+    def __init__(self) -> None:
+        self._counts = {"rounds": 0, "samples": 0, "views": 0, "seconds": 0.0, "best": 0.0}
+        self._since = monotonic()
+        self._batch_begin = self._batch_end = 0.0
+        self._between = self._round = 0.0  # seconds of the round so far: between steps, and in all
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._since = monotonic()
+
+    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._batch_end = perf_counter()  # after the replay buffer's turn
+        self._between = self._round = 0.0
+
+    def on_train_batch_start(
+        self, trainer: Trainer, pl_module: LightningModule, batch: Batch, batch_idx: int
+    ) -> None:
+        self._batch_begin = perf_counter()
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int
+    ) -> None:
+        if pl_module.device.type == "cuda":  # which is still computing
+            torch.cuda.synchronize()
+        samples, now = len(batch["rgb"]) * ranks(), perf_counter()
+        self._counts["samples"] += samples
+        pl_module.log("train/samples_per_second", samples / (now - self._batch_end))
+        self._between += self._batch_begin - self._batch_end
+        self._round += now - self._batch_end
+        self._batch_end = now
+
+    def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        pl_module.log("step", float(last_step(trainer)))
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._counts["best"] = max(self._counts["best"], float(trainer.callback_metrics["val/iou"]))
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._counts["rounds"] = trainer.current_epoch + 1
+        self._counts["views"] = int(trainer.callback_metrics["data/collected_views"])
+        collecting = float(trainer.callback_metrics["data/collecting_seconds"])
+        pl_module.log("train/waiting", (collecting + self._between) / (collecting + self._round))
+
+    def state_dict(self) -> dict[str, Any]:
+        now = monotonic()
+        self._counts["seconds"] += now - self._since
+        self._since = now
+        return dict(self._counts)
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self._counts = dict(state_dict)

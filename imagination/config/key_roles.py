@@ -1,0 +1,58 @@
+"""Ranges and units of configuration keys."""
+
+from collections.abc import Mapping
+
+RANGES: Mapping[str, tuple[float, float, str]] = {
+    "seed": (0, 2**32 - 1, ""),
+    "aggregation_factor": (0.0, 1.0, ""),
+    "kernels.imaginable": (0.005, 10.0, "m"),
+    "kernels.neighbourhood": (0.005, 10.0, "m"),
+    "kernels.truth": (0.005, 10.0, "m"),
+    "robot.radius": (0.0, 2.0, "m"),
+    "cache.max_gigabytes": (0.001, 1_000_000.0, "GB"),
+    "scale.resolution": (0.005, 1.0, "m"),
+    "scale.ego_extent": (0.5, 100.0, "m"),
+    "scale.world_extent": (1.0, 10_000.0, "m"),
+    "scale.image": (8, 8192, "pixels"),
+    "scale.truth_image": (8, 8192, "pixels"),
+    "scale.homes.train": (1, 9999, "homes"),
+    "scale.homes.val": (1, 9999, "homes"),
+    "scale.homes.test": (1, 9999, "homes"),
+    "scale.held_out_views.val": (1, 10_000_000, "views"),
+    "scale.held_out_views.test": (1, 10_000_000, "views"),
+    "scale.parallel_scenes": (1, 4096, "scenes"),
+    "scale.balanced_share": (0.0, 1.0, ""),
+    "scale.update_interval": (1, 10_000, "collection steps"),
+    "scale.update_batches": (1, 100_000, "batches"),
+    "scale.buffer_size": (1, 10_000_000, "views"),
+    "scale.prefill_steps": (0, 10_000_000, "collection steps"),
+    "scale.eval_every": (1, 1_000_000, "rounds"),
+    "scale.eval_homes": (1, 100_000, "homes"),
+    "scale.batch_size": (1, 100_000, "views"),
+    "scale.accumulate": (1, 100_000, "parts"),
+    "scale.hrnet_accumulate": (1, 100_000, "parts"),
+    "scale.rounds": (1, 10**9, "rounds"),
+    "scale.learning_rate": (0.0, 10.0, ""),
+    "scale.final_learning_rate": (0.0, 10.0, ""),
+    "scale.hrnet_final_learning_rate": (0.0, 10.0, ""),
+    "scale.unit_width": (1, 1024, "channels"),
+    "scale.height_jitter": (0.0, 0.5, ""),
+    "scale.dilated_answers": (0.0, 2.0, "m"),
+    "scale.mirrored_share": (0.0, 1.0, ""),
+    "scale.encoder_shrink": (1, 64, ""),
+    "scale.viewpoint_sets": (1, 10_000, ""),
+    "scale.orientations": (1, 1000, ""),
+    "scale.hrnet_rounds": (1, 10**9, "rounds"),
+    "scale.hrnet_most_rounds": (1, 10**9, "rounds"),
+    "scale.hrnet_eval_every": (1, 1_000_000, "rounds"),
+    "scale.workers": (0, 1024, "processes"),
+    "trainer.max_epochs": (1, 10**9, "rounds"),
+    "trainer.devices": (1, 1024, "devices"),
+    "trainer.num_nodes": (1, 10_000, "hosts"),
+}
+"""What is checked before anything is built; builders check what they get as well. Whole bounds mean whole numbers."""
+
+CELL_WIDTH = (0.1, 100.0, "m")
+
+MICRO_BATCH_KEYS = {"maps": "scale.accumulate", "images": "scale.hrnet_accumulate"}
+"""Key of the number of parts that a batch is split into, by what a network predicts."""

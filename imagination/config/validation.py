@@ -1,0 +1,77 @@
+"""Check a composed configuration before anything is built."""
+
+import re
+import warnings
+from typing import Any
+
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from imagination.config.key_roles import CELL_WIDTH, RANGES
+from imagination.geometry.grid import cells_of
+from imagination.utils.errors import UserError, check_choice, check_range
+from imagination.utils.precision import PRECISIONS
+
+
+def validate(config: DictConfig) -> None:
+    """Check what the user may have got wrong before hours are spent.
+
+    Raises:
+        UserError: on the first value out of range, with what is allowed.
+    """
+    check_name(config.name)
+    for key, bounds in RANGES.items():
+        if OmegaConf.select(config, key.partition(".")[0]) is not None:  # not every command has a trainer
+            _check_number(key, OmegaConf.select(config, key), *bounds)
+    for key in ("scale.precision", "trainer.precision", "evaluation.precision"):
+        if OmegaConf.select(config, key.partition(".")[0]) is not None:
+            check_choice(key, OmegaConf.select(config, key), PRECISIONS)
+    if not isinstance(config.scale.mirrored_answers, bool):
+        raise UserError(
+            f"scale.mirrored_answers: got {config.scale.mirrored_answers!r}, expected true or false"
+        )
+    rounds = [config.scale[name] for name in ("rounds", "hrnet_rounds", "hrnet_most_rounds")]
+    if OmegaConf.select(config, "model.predicts") == "images" and rounds != sorted(rounds):
+        raise UserError(
+            f"scale.hrnet_rounds: got {rounds[1]}, expected scale.rounds, {rounds[0]}, to scale.hrnet_most_rounds, "
+            f"{rounds[2]}: a baseline trains as long as the units"
+        )
+    widths = config.scale.cell_widths
+    if not isinstance(widths, ListConfig) or not widths:
+        raise UserError(f"scale.cell_widths: got {widths!r}, expected a list of metres such as [3.0, 2.5]")
+    for width in widths:
+        _check_number("scale.cell_widths", width, *CELL_WIDTH)
+    for extent in (config.scale.ego_extent, config.scale.world_extent):
+        cells_of(extent, config.scale.resolution)
+    if not config.unit_categories:
+        raise UserError(
+            "unit_categories: got none, expected at least one of: " + ", ".join(config.categories)
+        )
+    for name in config.unit_categories:
+        check_choice("category", name, config.categories)
+    if config.kernels.imaginable < config.kernels.neighbourhood:
+        warnings.warn(
+            f"kernels.imaginable ({config.kernels.imaginable} m) is smaller than kernels.neighbourhood "
+            f"({config.kernels.neighbourhood} m): W_gamma then covers label cells that the imaginable mask removed",
+            stacklevel=2,
+        )
+
+
+def _check_number(key: str, value: Any, low: float, high: float, unit: str) -> None:
+    whole = isinstance(low, int)
+    if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
+        kind = "whole number" if whole else "number"
+        raise UserError(f"{key}: got {value!r}, expected a {kind} in [{low}, {high}] {unit}".rstrip())
+    check_range(key, value, low, high, unit)
+
+
+def check_name(name: str) -> str:
+    """Return the name of an experiment if it can be a folder's.
+
+    Raises:
+        UserError: if it cannot, or is one that the program uses itself.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name) or name in ("default", "cache", "latest"):
+        raise UserError(
+            f"name: got {name!r}, expected letters, digits and _ . + - (and not default, cache or latest)"
+        )
+    return name

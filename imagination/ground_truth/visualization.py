@@ -1,0 +1,204 @@
+"""Pictures of every stage of the ground truth, for checking by eye.
+
+Maps are drawn in world coordinates with the objects' boxes and the points over them as vectors: what is mirrored or
+shifted does not fit its outline.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32, UInt8
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from imagination.geometry.grid import EgoGrid, Grid
+from imagination.geometry.pose import Pose
+from imagination.ground_truth.scene_maps import GroundTruth
+from imagination.scenes.categories import CategoryTable
+from imagination.scenes.scene import Scene
+
+EMPTY, FREE, OCCUPIED = (255, 255, 255), (222, 236, 222), (150, 150, 150)
+"""Colours of cells, RGB, where no category lies."""
+
+MARGIN = 0.5
+"""Of the map around the home, metres."""
+SMALL = 0.35
+"""Longest side of objects whose names are left out, metres."""
+
+
+class Look(NamedTuple):
+    """One view and what becomes of it.
+
+    Attributes:
+        pose: of the robot.
+        category: row of the table that the stages are drawn for.
+        rgb, depth, instance: the image.
+        occupied, seen: egocentric maps from depth.
+        objects, imaginable, label, neighbourhood: V_object, V_filter, V_label and M*_seen of the category.
+    """
+
+    pose: Pose
+    category: int
+    rgb: UInt8[np.ndarray, "h w 3"]
+    depth: Float32[np.ndarray, "h w"]
+    instance: Int32[np.ndarray, "h w"]
+    occupied: Bool[np.ndarray, "v v"]
+    seen: Bool[np.ndarray, "v v"]
+    objects: Bool[np.ndarray, "v v"]
+    imaginable: Bool[np.ndarray, "v v"]
+    label: Bool[np.ndarray, "v v"]
+    neighbourhood: Bool[np.ndarray, "v v"]
+
+
+def draw_scene(scene: Scene, truth: GroundTruth, categories: CategoryTable, looks: Sequence[Look]) -> Figure:
+    """Free space with the points that look around, M_occu, and M_gt of all categories with the views drawn below."""
+    figure = _figure(13.0, 4.9)
+    free, occupied, all_truth = figure.subplots(1, 3)
+    _show_map(free, _paint(scene.free_space.mask, FREE), scene.free_space.grid, scene)
+    free.plot(*truth.points.T, ".", color="black", markersize=1.0)
+    _name_objects(free, scene, 3.5)
+    free.set_title(f"free space and {len(truth.points)} points that look around", fontsize=9)
+    _show_map(occupied, _paint(truth.occupied, OCCUPIED), truth.grid, scene)
+    occupied.set_title("M_occu", fontsize=9)
+    _show_truth(all_truth, scene, truth, categories)
+    all_truth.set_title("M_gt of " + ", ".join(categories.names), fontsize=9)
+    for number, look in enumerate(looks, start=1):
+        x, y, theta = look.pose
+        all_truth.annotate(
+            "", (x + 0.6 * np.cos(theta), y + 0.6 * np.sin(theta)), (x, y), arrowprops={"arrowstyle": "->"}
+        )
+        behind = x - 0.35 * np.cos(theta), y - 0.35 * np.sin(theta)
+        all_truth.text(*behind, str(number), fontsize=8, weight="bold", ha="center", va="center")
+    return figure
+
+
+def draw_category(scene: Scene, truth: GroundTruth, categories: CategoryTable, name: str) -> Figure:
+    """M_label, M_seg and M_gt of one category."""
+    layer, colour = categories.index(name) - 1, categories.rows[categories.index(name) - 1].colour
+    figure = _figure(13.0, 4.9)
+    stages = {
+        "M_label": truth.label,
+        "M_seg": truth.segmented,
+        "M_gt = M_occu & M_label & M_seg": truth.truth,
+    }
+    for axes, (title, stage) in zip(figure.subplots(1, 3), stages.items(), strict=True):
+        image = _paint(truth.occupied, OCCUPIED)
+        image[stage[layer]] = colour
+        _show_map(axes, image, truth.grid, scene, name)
+        axes.set_title(f"{title}: {name}", fontsize=9)
+    return figure
+
+
+def draw_views(looks: Sequence[Look], ego: EgoGrid) -> Figure:
+    """A row for each view: colour, depth, instances, and the egocentric projection of depth."""
+    figure = _figure(11.0, 2.8 * len(looks))
+    palette = np.random.default_rng(3).integers(60, 256, (4096, 3), dtype=np.uint8)
+    palette[0] = 235  # the building
+    for number, (row, look) in enumerate(
+        zip(figure.subplots(len(looks), 4, squeeze=False), looks, strict=True), 1
+    ):
+        row[0].imshow(look.rgb)
+        row[0].set_title(f"view {number}: RGB", fontsize=9)
+        depth = row[1].imshow(np.where(look.depth > 0, look.depth, np.nan), cmap="viridis_r", vmin=0)
+        row[1].set_title("depth, m", fontsize=9)
+        figure.colorbar(depth, ax=row[1], fraction=0.046)
+        row[2].imshow(
+            np.where((look.instance < 0)[..., None], np.uint8(0), palette[look.instance % len(palette)])
+        )
+        row[2].set_title("instances", fontsize=9)
+        for axes in row[:3]:
+            axes.set_xticks([])
+            axes.set_yticks([])
+        image = _paint(look.seen, FREE)
+        image[look.occupied] = 0
+        _show_ego(row[3], image, ego)
+        row[3].set_title("occupied and V_seen", fontsize=9)
+    return figure
+
+
+def draw_labels(looks: Sequence[Look], ego: EgoGrid, categories: CategoryTable) -> Figure:
+    """A row for each view: V_object, V_object * V_seen, V_filter, V_label and M*_seen over the seen area."""
+    figure = _figure(13.0, 2.9 * len(looks))
+    for number, (row, look) in enumerate(
+        zip(figure.subplots(len(looks), 5, squeeze=False), looks, strict=True), 1
+    ):
+        category = categories.rows[look.category]
+        stages = {
+            f"view {number}: V_object, {category.name}": look.objects,
+            "V_object * V_seen": look.objects & look.seen,
+            "V_filter": look.imaginable,
+            "V_label = V_object * V_filter": look.label,
+            "M*_seen": look.neighbourhood,
+        }
+        for axes, (title, stage) in zip(row, stages.items(), strict=True):
+            image = _paint(look.seen, FREE)
+            image[look.occupied] = OCCUPIED
+            image[stage] = category.colour
+            _show_ego(axes, image, ego)
+            axes.set_title(title, fontsize=9)
+    return figure
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), dpi=80, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _paint(mask: Bool[np.ndarray, "h w"], colour: tuple[int, int, int]) -> UInt8[np.ndarray, "h w 3"]:
+    return np.where(mask[..., None], np.array(colour, np.uint8), np.array(EMPTY, np.uint8))
+
+
+def _show_map(
+    axes: Axes, image: UInt8[np.ndarray, "h w 3"], grid: Grid, scene: Scene, category: str | None = None
+) -> None:
+    """A global map in world coordinates, with the boxes of one category (or of every object of any) as outlines."""
+    x, y = grid.origin
+    extent = (x, x + grid.columns * grid.resolution, y, y + grid.rows * grid.resolution)
+    axes.imshow(image, extent=extent, interpolation="nearest")
+    for thing in scene.objects:
+        if thing.category is not None and category in (None, thing.category):
+            axes.add_patch(Polygon(thing.box.footprint(), fill=False, linewidth=0.6))
+    low, high = _reach(scene)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m", ylabel="y, m")
+
+
+def show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: CategoryTable) -> None:
+    """M_gt of all categories over M_occu, with the names of the objects."""
+    _show_truth(axes, scene, truth, categories)
+    _name_objects(axes, scene, 5.0)
+
+
+def _show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: CategoryTable) -> None:
+    image = _paint(truth.occupied, OCCUPIED)
+    for row, layer in zip(categories, truth.truth, strict=True):
+        image[layer] = row.colour
+    _show_map(axes, image, truth.grid, scene)
+
+
+def _reach(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Smallest and largest x, y of what a map shows; a scene that brings its own renderer may have no mesh."""
+    places = scene.free_space.grid.to_points(np.argwhere(scene.free_space.mask))
+    boxes = [thing.box.footprint() for thing in scene.objects]
+    every = np.concatenate([places, *boxes, scene.mesh.vertices[:, :2]])
+    return every.min(axis=0) - MARGIN, every.max(axis=0) + MARGIN
+
+
+def _name_objects(axes: Axes, scene: Scene, points: float) -> None:
+    """The label of every object that is not small, at its middle, in letters of so many points."""
+    for thing in scene.objects:
+        if max(thing.box.size[:2]) > SMALL:
+            x, y, _ = thing.box.centre
+            axes.text(
+                x, y, thing.label.replace("_", "\n"), fontsize=points, ha="center", va="center", clip_on=True
+            )
+
+
+def _show_ego(axes: Axes, image: UInt8[np.ndarray, "v v 3"], ego: EgoGrid) -> None:
+    """An egocentric map, the robot at the bottom centre, with distances in metres."""
+    half, cell = ego.cells * ego.resolution / 2, ego.resolution
+    axes.imshow(image, extent=(-half, half, -cell / 2, ego.cells * cell - cell / 2), interpolation="nearest")
+    axes.plot(0, 0, marker="^", color="black", markersize=5, clip_on=False)

@@ -1,0 +1,50 @@
+"""The egocentric depth projection split into bands of height."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float, Float16
+from torch import Tensor, nn
+
+from imagination.geometry.camera import Camera
+from imagination.geometry.grid import EgoGrid
+from imagination.models.depth_hits import Returns
+from imagination.utils.errors import UserError, check_range
+
+
+class HeightBands(nn.Module):
+    """The egocentric depth projection by height: which cells have a return in each band; see `ImaginationUnit`."""
+
+    def __init__(self, camera: Camera, ego: EgoGrid, heights: Sequence[float], jitter: float = 0.0) -> None:
+        super().__init__()
+        self.jitter = check_range("model.unit.height_jitter", jitter, 0.0, 0.5)
+        if list(heights) != sorted(set(heights)):
+            raise UserError(f"scale.heights: got {list(heights)}, expected ascending metres, each once")
+        self.heights = list(heights)
+        self.count = max(len(heights) - 1, 0)
+        self.ego = ego
+        self.returns = Returns(camera, ego)
+
+    def forward(self, depth: Float16[Tensor, "b 1 h w"]) -> Float[Tensor, "b n v v"]:
+        """1 where a return lies between two successive heights, the upper one included, else 0."""
+        size, count = self.ego.cells, self.count
+        if not count:
+            return depth.new_zeros(len(depth), 0, size, size, dtype=torch.float32)
+        cells, height = self.returns(depth, *self._reach())
+        if self.training and self.jitter:
+            factor = 1 + self.jitter * (2 * torch.rand(len(height), 1, 1, device=height.device) - 1)
+            height = height * factor
+            inside = (height >= self.heights[0]) & (height <= self.heights[-1])
+            cells = torch.where(inside, cells, len(depth) * size**2)
+        band = torch.bucketize(height, height.new_tensor(self.heights[1:-1]))
+        marked = height.new_zeros(
+            (len(depth) * size**2 + 1) * count
+        )  # the last row is of pixels without a return
+        marked[(cells * count + band).reshape(-1)] = 1
+        maps: Tensor = marked.view(-1, count)[:-1].view(-1, size, size, count).permute(0, 3, 1, 2)
+        return maps
+
+    def _reach(self) -> tuple[float, float]:
+        """Lowest and highest return that may come to lie in a band."""
+        jitter = self.jitter if self.training else 0.0
+        return self.heights[0] / (1 + jitter), self.heights[-1] / (1 - jitter)

@@ -1,0 +1,153 @@
+"""Training of a unit with Lightning; the unit itself knows nothing of it."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from lightning import LightningModule
+from torch import Tensor
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+from imagination.geometry.grid import EgoGrid
+from imagination.geometry.morphology import kernel_cells
+from imagination.models.losses import Loss
+from imagination.models.ego_metrics import THRESHOLDS, EgoScores, best_thresholds, named_scores
+from imagination.models.unit import Answers, Unit
+from imagination.utils.errors import UserError, check_range
+from imagination.utils.process_group import sum_over_ranks
+
+Batch = Mapping[str, Tensor]
+"""rgb uint8 (B, 3, H, W); depth float16 (B, 1, H, W), metres; occupied and seen uint8 (B, 1, V, V); label and
+neighbourhood (M*_seen made from the truth) uint8 (B, C, V, V); counts int64 (3, C) where it is a part of a batch, see
+`batch_counts`. Further entries are left alone."""
+
+
+class UnitTraining(LightningModule):
+    """Trains a unit and scores its egocentric maps.
+
+    Args:
+        unit: the network.
+        loss: between its logits and the label, e.g. the paper's `WeightedBCE`.
+        ego: grid of the maps.
+        neighbourhood: side of the kernel ε of M*_seen, metres.
+        optimizer: makes the optimiser, given parameters.
+        scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
+        valid_threshold: τ_valid, for M*_seen after prediction.
+        channels_last: keep images and weights channels-last in memory.
+        compile: train with torch.compile, which needs a C++ compiler and some minutes.
+
+    Raises:
+        UserError: if the threshold is out of range; where training begins, if a loss without parts is to accumulate.
+    """
+
+    chosen: Tensor
+
+    def __init__(
+        self,
+        unit: Unit,
+        loss: Loss,
+        ego: EgoGrid,
+        neighbourhood: float,
+        optimizer: Callable[..., Optimizer],
+        scheduler: Callable[..., LRScheduler],
+        valid_threshold: float = 0.5,
+        channels_last: bool = True,
+        compile: bool = False,
+    ) -> None:
+        super().__init__()
+        self.unit = unit.to(memory_format=torch.channels_last) if channels_last else unit
+        self.compiled = compile
+        self.loss = loss
+        self.categories: list[str] = list(unit.categories)
+        self.optimizer = optimizer
+        self.scheduler = scheduler
+        check_range("model.module.valid_threshold", valid_threshold, 0, 1)
+        kernel = kernel_cells(neighbourhood, ego.resolution)
+        self.val_scores = EgoScores(len(self.categories), kernel, valid_threshold)
+        self.test_scores = EgoScores(len(self.categories), kernel, valid_threshold)
+        # which of THRESHOLDS each category's egocentric map takes, chosen at each validation; part of checkpoints
+        self.register_buffer("chosen", torch.full((len(self.categories),), len(THRESHOLDS) // 2))
+
+    def forward(self, batch: Batch) -> Float[Tensor, "b c v v"]:
+        """Logits for a batch."""
+        logits: Tensor = self.unit(batch["rgb"], batch["depth"], batch["occupied"], batch["seen"])
+        return logits
+
+    @torch.no_grad()
+    def predict(self, batch: Batch) -> Answers:
+        """Probabilities of V_object for a batch on any device, as in evaluation mode and in single precision."""
+        training = self.training
+        self.eval()
+        views = [batch[name].to(self.device) for name in ("rgb", "depth", "occupied", "seen")]
+        # a plugin's unit may be any module
+        plain = self.unit.plain(*views) if isinstance(self.unit, Unit) else self.unit(*views)
+        maps = self.unit.finished(plain) if isinstance(self.unit, Unit) else plain
+        self.train(training)
+        return Answers(maps.float().sigmoid(), plain.float().sigmoid())
+
+    def setup(self, stage: str) -> None:
+        if stage != "fit":
+            return
+        if (count := self.trainer.accumulate_grad_batches) > 1 and not self.loss.in_parts:
+            raise UserError(
+                f"scale.accumulate: got {count}, expected 1 for the loss {type(self.loss).__name__}, which compares "
+                "a batch as a whole; or take model/loss=weighted_bce"
+            )
+        if self.compiled:
+            self.unit.compile()
+
+    def training_step(self, batch: Batch, index: int) -> Tensor:
+        loss, parts = self.loss(self(batch), batch["label"], batch["neighbourhood"], batch.get("counts"))
+        # Lightning takes the mean over the parts of an accumulated batch, whose losses add up
+        loss = loss * self.trainer.accumulate_grad_batches
+        values = {
+            "loss": loss,
+            **parts,
+            "empty_labels": (batch["label"].amax(dim=(2, 3)) == 0).float().mean(),
+            "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"],
+        }
+        self.log_dict(
+            {f"train/{name}": value for name, value in values.items()},
+            batch_size=len(batch["label"]),
+            sync_dist=True,
+        )
+        return loss
+
+    def validation_step(self, batch: Batch, index: int) -> None:
+        self._score(batch, "val", self.val_scores)
+
+    def test_step(self, batch: Batch, index: int) -> None:
+        self._score(batch, "test", self.test_scores)
+
+    def on_validation_epoch_end(self) -> None:
+        self.chosen.copy_(best_thresholds(self.val_scores.compute()))
+        self.log("val/threshold", self.chosen_thresholds.mean())
+        self._log_scores("val", self.val_scores)
+
+    @property
+    def chosen_thresholds(self) -> Float[Tensor, " c"]:
+        """Of each category's egocentric map."""
+        return torch.tensor(THRESHOLDS, device=self.chosen.device)[self.chosen]
+
+    def on_test_epoch_end(self) -> None:
+        self._log_scores("test", self.test_scores)
+
+    def configure_optimizers(self) -> Any:  # Lightning's own type for this is a union of many
+        optimizer = self.optimizer(self.parameters())
+        return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer)}
+
+    def _score(self, batch: Batch, stage: str, scores: EgoScores) -> None:
+        logits = self(batch).float()
+        loss, _ = self.loss(logits, batch["label"], batch["neighbourhood"])
+        # every rank counts for as many views as all have: its loss is already scaled to its part of them
+        views = sum_over_ranks(torch.tensor(len(logits), device=logits.device))
+        self.log(f"{stage}/loss", loss, batch_size=int(views), sync_dist=True)
+        scores.update(logits.sigmoid(), batch["label"], batch["seen"])
+
+    def _log_scores(self, stage: str, scores: EgoScores) -> None:
+        """Log the scores of all ranks at the chosen thresholds and begin anew."""
+        named = named_scores(scores.compute(), self.chosen, self.categories)
+        self.log_dict({f"{stage}/{name}": value for name, value in named.items()})
+        scores.reset()

@@ -1,0 +1,127 @@
+"""Training of a first-person segmentation network with Lightning."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float, UInt8
+from lightning import LightningModule
+from torch import Tensor, nn
+from torch.nn.functional import cross_entropy
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+from torchmetrics.classification import MulticlassConfusionMatrix
+
+from imagination.models.segmentation.hrnet import at_size
+
+Batch = Mapping[str, Tensor]
+"""rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for none, else the category's place + 1; views int64 () where
+it is a part of a batch of so many."""
+
+
+class SegmentationTraining(LightningModule):
+    """Trains a network with cross-entropy and scores its images by IoU.
+
+    Args:
+        network: makes the network, given the number of `classes`: none, then each category.
+        categories: told apart.
+        optimizer: makes the optimiser, given parameters.
+        scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
+        mirrored_answers: outside training, answer with the mean of what is said of an image and of it in a mirror, as
+            units do.
+    """
+
+    def __init__(
+        self,
+        network: Callable[..., nn.Module],
+        categories: Sequence[str],
+        optimizer: Callable[..., Optimizer],
+        scheduler: Callable[..., LRScheduler],
+        mirrored_answers: bool = False,
+    ) -> None:
+        super().__init__()
+        self.categories = list(categories)
+        self.optimizer = optimizer
+        self.scheduler = scheduler
+        self.mirrored_answers = mirrored_answers
+        classes = 1 + len(self.categories)
+        self.network = network(classes=classes)
+        self.val_scores = MulticlassConfusionMatrix(classes)
+        self.test_scores = MulticlassConfusionMatrix(classes)
+
+    @torch.no_grad()
+    def segment(
+        self, rgb: UInt8[Tensor, "b 3 h w"], rows: int, columns: int
+    ) -> UInt8[Tensor, "b rows columns"]:
+        """The likeliest class of each pixel at the size asked for: 0 for none, else the category's place + 1."""
+        training = self.training
+        self.eval()
+        classes = at_size(self(rgb.to(self.device)), rows, columns).argmax(dim=1)
+        self.train(training)
+        return classes.to(torch.uint8)
+
+    def forward(self, rgb: UInt8[Tensor, "b 3 h w"]) -> Float[Tensor, "b k p q"]:
+        """Logits of the classes, at the network's own size."""
+        logits: Tensor = self.network(rgb)
+        if self.training or not self.mirrored_answers:
+            return logits
+        mirrored: Tensor = self.network(rgb.flip(-1))
+        return (logits + mirrored.flip(-1)) / 2
+
+    def training_step(self, batch: Batch, index: int) -> Tensor:
+        loss, _ = self.compare(batch)
+        if "views" in batch:  # Lightning takes the mean over parts, which may differ by a view
+            loss = loss * len(batch["rgb"]) * self.trainer.accumulate_grad_batches / batch["views"]
+        values = {"loss": loss, "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"]}
+        self.log_dict(
+            {f"train/{name}": value for name, value in values.items()},
+            batch_size=len(batch["rgb"]),
+            sync_dist=True,
+        )
+        return loss
+
+    def validation_step(self, batch: Batch, index: int) -> None:
+        self._score(batch, "val", self.val_scores)
+
+    def test_step(self, batch: Batch, index: int) -> None:
+        self._score(batch, "test", self.test_scores)
+
+    def on_validation_epoch_end(self) -> None:
+        self._log_scores("val", self.val_scores)
+
+    def on_test_epoch_end(self) -> None:
+        self._log_scores("test", self.test_scores)
+
+    def configure_optimizers(self) -> Any:  # Lightning's own type for this is a union of many
+        optimizer = self.optimizer(self.parameters())
+        return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer)}
+
+    def compare(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        """The loss, and the likeliest class of each pixel."""
+        truth = batch["segmentation"].long()
+        logits = at_size(self(batch["rgb"]), *truth.shape[-2:])
+        # pixel by pixel: of images, GPUs sum up in a random order
+        total = cross_entropy(logits.permute(0, 2, 3, 1).flatten(0, 2), truth.flatten(), reduction="sum")
+        return total / max(1, truth.numel()), logits.argmax(dim=1)  # a process may have got no view
+
+    def _score(self, batch: Batch, stage: str, scores: MulticlassConfusionMatrix) -> None:
+        loss, predicted = self.compare(batch)
+        self.log(f"{stage}/loss", loss, batch_size=len(predicted), sync_dist=True)
+        scores.update(predicted, batch["segmentation"].long())
+
+    def _log_scores(self, stage: str, scores: MulticlassConfusionMatrix) -> None:
+        """Log IoU, precision and recall: the mean over categories, of which none is not one, and of each."""
+        counts: Tensor = scores.compute()
+        hits, truth, predicted = (
+            count[1:] for count in (counts.diagonal(), counts.sum(dim=1), counts.sum(dim=0))
+        )
+        named = {
+            "iou": hits / (truth + predicted - hits).clamp(min=1),
+            "precision": hits / predicted.clamp(min=1),
+            "recall": hits / truth.clamp(min=1),
+        }
+        for name, values in named.items():
+            self.log(f"{stage}/{name}", values.mean())
+            for category, value in zip(self.categories, values, strict=True):
+                self.log(f"{stage}/{name}_{category}", value)
+        scores.reset()

@@ -1,0 +1,111 @@
+"""Frames that move against each other (ROS tf): a transform at any time."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from jaxtyping import Float64
+
+from imagination.recordings.trajectory import Stamp, Trajectory
+from imagination.utils.errors import UserError
+
+MOST_FRAMES = 10_000
+"""In a tree of frames: trackers name new ones for ever."""
+
+
+class Transforms:
+    """A tree of frames, as ROS' tf: each knows where it is in its parent, at any time.
+
+    Args:
+        max_gap: seconds over which a moving frame is not interpolated.
+        keep: seconds of the past that are kept; all if None.
+    """
+
+    def __init__(self, max_gap: float, keep: float | None = None) -> None:
+        self.max_gap, self.keep = max_gap, keep
+        self._parents: dict[str, str] = {}
+        self._fixed: dict[str, Float64[np.ndarray, "4 4"]] = {}
+        self._moving: dict[str, Trajectory] = {}
+
+    @property
+    def moving(self) -> list[Trajectory]:
+        """Those of all moving frames."""
+        return list(self._moving.values())
+
+    def add(
+        self, parent: str, child: str, stamp: Stamp, matrix: Float64[np.ndarray, "4 4"], fixed: bool
+    ) -> None:
+        """Say where `child` is in `parent` at a time, or, if `fixed`, at all times.
+
+        Raises:
+            UserError: if the child has another parent already, would be its own ancestor, there are too many frames,
+                or a live time is far from the newest (see `Trajectory.add`).
+        """
+        parent, child = parent.lstrip("/"), child.lstrip("/")
+        if self._parents.get(child, parent) != parent:
+            raise UserError(
+                f"tf: frame {child!r} is in {self._parents[child]!r} and in {parent!r}, expected one parent; "
+                "choose one source of poses"
+            )
+        if child == parent or child in self.ancestors(parent):
+            raise UserError(f"tf: frame {child!r} is its own ancestor")
+        if child not in self._parents and len(self._parents) == MOST_FRAMES:
+            raise UserError(f"tf: got frame {child!r} beside {MOST_FRAMES} others, expected at most as many")
+        self._parents[child] = parent
+        if fixed:
+            self._fixed[child] = matrix
+        else:
+            self._moving.setdefault(child, Trajectory(self.max_gap, self.keep)).add(stamp, matrix)
+
+    def moves(self, frames: Iterable[str]) -> bool:
+        """Whether one of the frames moves in its parent."""
+        return any(frame in self._moving for frame in frames)
+
+    def ancestors(self, frame: str) -> list[str]:
+        """A frame, its parent and so on."""
+        chain = [frame.lstrip("/")]
+        while chain[-1] in self._parents:
+            chain.append(self._parents[chain[-1]])
+        return chain
+
+    def at(self, world: str, frame: str, stamp: Stamp) -> Float64[np.ndarray, "4 4"] | None:
+        """Transform from `frame` to its ancestor `world`; None where one of those between has none at that time.
+
+        Raises:
+            UserError: if `world` is no ancestor of `frame`.
+        """
+        chain = self.ancestors(frame)
+        world = world.lstrip("/")
+        if world not in chain:
+            raise UserError(
+                f"tf: frame {frame!r} is not in {world!r}, its frames are {' in '.join(chain)}; expected one of these"
+            )
+        result = np.eye(4)
+        for child in chain[: chain.index(world)]:
+            step = self._fixed.get(child)
+            if step is None:
+                step = self._moving[child].at(stamp)
+            if step is None:
+                return None
+            result = step @ result
+        return result
+
+    def between(self, frame: str, other: str) -> Float64[np.ndarray, "4 4"]:
+        """Transform from one frame to another that it does not move against.
+
+        Raises:
+            UserError: if nothing joins them, or they move against each other.
+        """
+        ours, theirs = self.ancestors(frame), self.ancestors(other)
+        common = [name for name in theirs if name in ours]
+        if not common:
+            raise UserError(
+                f"tf: nothing joins {frame!r} and {other!r}; if they are depth and colour, use depth registered "
+                "to colour (aligned_depth_to_color, depth_registered)"
+            )
+        chain = [*ours[: ours.index(common[0])], *theirs[: theirs.index(common[0])]]
+        if self.moves(chain):
+            raise UserError(f"tf: {frame!r} and {other!r} move against each other, expected fixed cameras")
+        to_common, from_common = (self.at(common[0], name, 0) for name in (frame, other))
+        assert to_common is not None and from_common is not None, "fixed at all times"
+        result: np.ndarray = np.linalg.inv(from_common) @ to_common
+        return result

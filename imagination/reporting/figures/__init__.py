@@ -1,0 +1,1 @@
+"""Figures of maps, scores, single views and training curves."""

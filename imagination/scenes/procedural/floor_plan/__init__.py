@@ -1,0 +1,1 @@
+"""Floor plans and the building around them."""

@@ -1,0 +1,1 @@
+"""Which furniture goes into a room, and where."""

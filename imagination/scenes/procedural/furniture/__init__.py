@@ -1,0 +1,1 @@
+"""Furniture by family: shapes and their ranges in each split."""

@@ -1,0 +1,114 @@
+"""One home: plan, building and furniture put together into a scene."""
+
+import numpy as np
+from jaxtyping import Float
+
+from imagination.scenes.building_blocks.assembly import assemble, object_of
+from imagination.scenes.building_blocks.pieces import Placed
+from imagination.scenes.categories import CategoryTable
+from imagination.scenes.free_space import free_space
+from imagination.scenes.procedural.floor_plan.building import build_building
+from imagination.scenes.procedural.floor_plan.layouts import draw_plan
+from imagination.scenes.procedural.floor_plan.plan import Plan
+from imagination.scenes.procedural.furnishing.room_rules import furnish
+from imagination.scenes.procedural.furniture.stock import Furniture, Stock
+from imagination.scenes.scene import FreeSpace, Lighting, Scene
+from imagination.scenes.source import Split
+from imagination.utils.errors import UserError
+
+STREAMS: dict[Split, int] = {"train": 0, "val": 1, "test": 3}
+"""Of random numbers, in a home's seed. 2 made test homes that had been looked at when settings were chosen."""
+
+ATTEMPTS = 12
+"""Homes drawn before giving up; nearly always the first is good."""
+REQUIRED: tuple[frozenset[str], ...] = (
+    frozenset({"chair"}),
+    frozenset({"dining_table", "desk"}),
+    frozenset({"double_bed", "single_bed", "bunk_bed"}),
+)
+"""Every home has something of each of these."""
+ROOM_SHARE = 0.08
+"""Share of each room's floor that must be free and reachable, at least one cell."""
+
+
+def build_home(
+    name: str,
+    seed: int,
+    split: Split,
+    number: int,
+    categories: CategoryTable,
+    robot_radius: float,
+    furniture_source: Furniture,
+) -> Scene:
+    """Build a home; it depends on nothing but the arguments.
+
+    Raises:
+        UserError: if none of ATTEMPTS draws gives a home in which the robot reaches every room.
+    """
+    for attempt in range(ATTEMPTS):
+        rng = np.random.default_rng([seed, STREAMS[split], number, attempt])
+        plan = draw_plan(rng)
+        stock = Stock(furniture_source, split, rng)
+        furniture = furnish(plan, stock, robot_radius)
+        labels = {thing.piece.label for thing in furniture}
+        if not all(labels & any_of for any_of in REQUIRED):
+            continue
+        building = Placed(build_building(plan, stock.palette, rng))
+        yaw = float(rng.uniform(-np.pi, np.pi))
+        lighting = _lighting(rng)
+        centre = _middle(building.within(0.0, 0.0, yaw))
+        things = [thing.within(-centre[0], -centre[1], yaw) for thing in (building, *furniture)]
+        mesh = assemble(things)
+        try:
+            free = free_space(mesh, 0.0, robot_radius)
+        except UserError:
+            continue
+        if _reaches_all(free, plan, things[0]):
+            objects = tuple(
+                object_of(i, thing, categories.of_label("procedural", thing.piece.label))
+                for i, thing in enumerate(things)
+                if i > 0
+            )
+            return Scene(name, mesh, lighting, objects, free, 0.0, plan.ceiling)
+    raise UserError(
+        f"{name}: none of {ATTEMPTS} draws gave a home that a robot of radius {robot_radius} m gets through; "
+        "choose another seed or a smaller radius"
+    )
+
+
+def _middle(building: Placed) -> Float[np.ndarray, "2"]:
+    points = building.points()[:, :2]
+    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
+
+
+def _reaches_all(free: FreeSpace, plan: Plan, building: Placed) -> bool:
+    """Whether enough of each room's floor is within the connected free space."""
+    rows, columns = np.nonzero(free.mask)
+    points = free.grid.to_points(np.stack([rows, columns], axis=-1)) - (building.x, building.y)
+    cos, sin = np.cos(building.yaw), np.sin(building.yaw)
+    local = points @ np.array([[cos, -sin], [sin, cos]])  # back into the plan's frame
+    cell = free.grid.resolution**2
+    for room in plan.rooms:
+        inside = (local >= (room.x0, room.y0)) & (local <= (room.x1, room.y1))
+        if inside.all(axis=1).sum() * cell < ROOM_SHARE * room.area:
+            return False
+    return True
+
+
+def _lighting(rng: np.random.Generator) -> Lighting:
+    """Light from above and from two sides, warm or cold, brighter or dimmer."""
+    warm = rng.uniform(-1, 1)
+    tint = np.array([1 + 0.06 * warm, 1.0, 1 - 0.09 * warm])
+    turn = rng.uniform(0, 2 * np.pi) + np.array([0.0, 2.2])
+    directions = [
+        [np.cos(angle), np.sin(angle), height]
+        for angle, height in zip(turn, rng.uniform(0.4, 1.0, 2), strict=True)
+    ]
+    directions.append([0.15, -0.1, 1.0])
+    unit = np.array(directions) / np.linalg.norm(directions, axis=1, keepdims=True)
+    strengths = rng.uniform([0.28, 0.16, 0.08], [0.46, 0.32, 0.18])
+    ambient = rng.uniform(0.45, 0.60) * tint
+    red, green, blue = ambient.tolist()
+    return Lighting(
+        (red, green, blue), unit.astype(np.float32), (strengths[:, None] * tint).astype(np.float32)
+    )

@@ -1,0 +1,80 @@
+"""Samplers of robot poses in a scene."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imagination.geometry.pose import Pose
+from imagination.scenes.scene import FreeSpace, Scene
+from imagination.utils.errors import UserError, check_range
+
+
+def sample_poses(free: FreeSpace, count: int, rng: np.random.Generator) -> list[Pose]:
+    """Poses drawn uniformly over free space, anywhere within its cells, and over all headings.
+
+    Args:
+        free: where the robot may stand.
+        count: poses wanted.
+        rng: drives places and headings.
+
+    Raises:
+        UserError: if the count is negative or nothing is free.
+    """
+    cells = np.argwhere(free.mask)
+    if count < 0 or len(cells) == 0:
+        raise UserError(
+            f"poses: got {count} to draw on {len(cells)} free cells, expected at least 0 on at least 1"
+        )
+    chosen = cells[rng.integers(len(cells), size=count)]
+    jitter = rng.uniform(-0.5, 0.5, (count, 2)) * free.grid.resolution
+    places = free.grid.to_points(chosen) + jitter
+    headings = rng.uniform(-np.pi, np.pi, count)
+    return [Pose(float(x), float(y), float(theta)) for (x, y), theta in zip(places, headings, strict=True)]
+
+
+@dataclass(frozen=True)
+class UniformPoses:
+    """Uniform over free space and heading (settled: the paper's units reject nothing)."""
+
+    def __call__(self, scene: Scene, count: int, rng: np.random.Generator) -> list[Pose]:
+        return sample_poses(scene.free_space, count, rng)
+
+
+@dataclass(frozen=True)
+class BalancedPoses:
+    """A share of the poses turned towards an object nearby, the others uniform.
+
+    Attributes:
+        categories: what to look at: objects of any of these.
+        share: of the poses, 0 to 1.
+        distance: farthest object looked at, metres.
+        spread: half-width of the uniform error of the heading, radians.
+    """
+
+    categories: Sequence[str]
+    share: float = 0.5
+    distance: float = 4.0
+    spread: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_range("sampler.share", self.share, 0.0, 1.0)
+        check_range("sampler.distance", self.distance, 0.0, 100.0, "m", open_low=True)
+        check_range("sampler.spread", self.spread, 0.0, np.pi, "rad")
+
+    def __call__(self, scene: Scene, count: int, rng: np.random.Generator) -> list[Pose]:
+        things = [thing for category in self.categories for thing in scene.of_category(category)]
+        centres = np.array([thing.box.centre[:2] for thing in things])
+        poses = []
+        for pose in sample_poses(scene.free_space, count, rng):
+            turned = (
+                rng.random() < self.share
+            )  # drawn for every pose, so that the stream does not depend on the scene
+            error, choice = rng.uniform(-self.spread, self.spread), rng.random()
+            offsets = centres - np.array(pose[:2]) if len(centres) else np.empty((0, 2))
+            near = offsets[np.hypot(*offsets.T) < self.distance]
+            if turned and len(near):
+                dx, dy = near[int(choice * len(near))]
+                pose = Pose(pose.x, pose.y, float(np.arctan2(dy, dx)) + error)
+            poses.append(pose)
+        return poses

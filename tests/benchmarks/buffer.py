@@ -1,0 +1,72 @@
+"""The replay buffer at desk scale: inserting a collection, drawing a batch."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imagination.data.collate import assemble
+from imagination.data.replay_buffer import ReplayBuffer
+from imagination.geometry.morphology import kernel_cells
+from imagination.views.collector import Views, look
+from imagination.views.pose_samplers import UniformPoses
+from tests.benchmarks.measure import Figure, copying, medians
+from tests.benchmarks.subjects import SEED, config, observer
+
+BATCH = 108
+COLLECTION = 80
+
+
+def views_of_a_home(folder: str, count: int = COLLECTION) -> Views:
+    """Views as training collects them."""
+    return look(observer(folder), "test_0000", UniformPoses(), (SEED, 1), count)
+
+
+def run(folder: str) -> list[Figure]:
+    """All figures."""
+    desk = config(folder)
+    size, resolution = desk.scale.buffer_size, desk.scale.resolution
+    views = views_of_a_home(folder)
+    buffer = ReplayBuffer(size, desk.aggregation_factor)
+    for _ in range(-(-size // COLLECTION)):
+        buffer.insert(views)
+    rng = np.random.default_rng(SEED)
+    batch = buffer.draw(BATCH, rng)
+    kernels = [kernel_cells(desk.kernels[name], resolution) for name in ("imaginable", "neighbourhood")]
+    times = medians(
+        {
+            "insert": lambda: buffer.insert(views),
+            "copy in": copying(*(store[:COLLECTION] for store in buffer._store.values())),
+            "draw": lambda: buffer.draw(BATCH, rng),
+            "copy out": copying(*batch.values()),
+            "assemble": lambda: assemble(batch, [0], *kernels),
+        },
+        5.0,
+    )
+    held = sum(store.nbytes for store in buffer._store.values()) / 1e9
+    return [
+        Figure(
+            f"replay buffer: insert a collection of {COLLECTION} views",
+            1e3 * times["insert"],
+            "ms",
+            1e3 * times["copy in"],
+            "copying them as they are held, masks as bits",
+            note=f"{size} views held in {held:.2f} GB",
+        ),
+        Figure(
+            f"replay buffer: draw a batch of {BATCH}, uint8 delivered",
+            1e3 * times["draw"],
+            "ms",
+            1e3 * times["copy out"],
+            "copying it",
+            10.0,
+            at_most=True,
+            note="its images, maps and masks; labels are the next line",
+        ),
+        Figure(
+            f"labels and M*_seen of a batch of {BATCH}, one category",
+            1e3 * times["assemble"],
+            "ms",
+            1e3 * times["copy out"],
+            "copying the batch",
+        ),
+    ]

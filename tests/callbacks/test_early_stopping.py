@@ -1,0 +1,89 @@
+"""Training until the score is flat, on made-up scores."""
+
+from typing import Any
+
+import pytest
+import torch
+from lightning import LightningModule, Trainer
+
+from imagination.callbacks.early_stopping import UntilFlat
+from imagination.utils.errors import UserError
+
+
+class Played(Trainer):
+    """What the callback looks at, without training."""
+
+    callback_metrics: dict[str, torch.Tensor] = {}
+    current_epoch = 0
+    should_stop = False
+
+    def __init__(self) -> None:
+        self.callback_metrics = {}
+
+
+MODULE = LightningModule()
+
+
+def callback(**changes: Any) -> UntilFlat:
+    settings = {"patience": 2, "margin": 0.01, "min_rounds": 1}
+    return UntilFlat("val/iou", **(settings | changes))
+
+
+def play(until: UntilFlat, fake: Played, scores: list[float]) -> int:
+    """How many of the scores were reached before training ended."""
+    for number, score in enumerate(scores, start=1):
+        fake.callback_metrics["val/iou"] = torch.tensor(score)
+        until.on_validation_end(fake, MODULE)
+        fake.current_epoch += 1
+        if fake.should_stop:
+            return number
+    return len(scores)
+
+
+def test_training_ends_when_the_score_stays_flat() -> None:
+    # .205 is less than the margin above .2, .3 is more, then two that are not
+    assert play(callback(), Played(), [0.1, 0.2, 0.205, 0.3, 0.305, 0.2, 0.9]) == 6
+
+
+def test_it_lasts_at_least_as_long_as_its_schedule() -> None:
+    assert play(callback(min_rounds=8), Played(), [0.1] * 20) == 8
+
+
+def test_ending_before_the_schedule_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    """As with trainer.max_epochs below scale.hrnet_rounds: flat or not, what ends before its schedule is told."""
+    until, fake = callback(min_rounds=8), Played()
+    play(until, fake, [0.1] * 7)  # trainer.max_epochs
+    until.on_train_end(fake, MODULE)
+    assert until.flat and "ended after 7 rounds" in caplog.text and "8 rounds" in caplog.text
+    caplog.clear()
+    play(until, fake, [0.1])
+    until.on_train_end(fake, MODULE)
+    assert caplog.text == ""
+
+
+def test_a_resumed_training_does_the_same() -> None:
+    scores = [0.1, 0.1, 0.2, 0.2, 0.2, 0.2]
+    assert play(callback(), Played(), scores) == 5
+    for cut in range(1, 5):
+        first, second = callback(), callback()
+        assert play(first, Played(), scores[:cut]) == cut
+        second.load_state_dict(first.state_dict())
+        assert play(second, Played(), scores[cut:]) == 5 - cut
+
+
+def test_a_finished_training_that_is_resumed_ends_at_once() -> None:
+    first, fake = callback(), Played()
+    play(first, fake, [0.1] * 9)
+    assert fake.should_stop
+    again, other = callback(), Played()
+    again.load_state_dict(first.state_dict())
+    other.current_epoch = fake.current_epoch
+    again.on_train_start(other, MODULE)
+    assert other.should_stop
+
+
+def test_values_out_of_range_are_refused() -> None:
+    with pytest.raises(UserError, match=r"until_flat\.margin: got -0.1"):
+        callback(margin=-0.1)
+    with pytest.raises(UserError, match=r"until_flat\.patience: got 0"):
+        callback(patience=0)

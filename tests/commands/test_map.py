@@ -1,0 +1,183 @@
+"""`imagination.map` as a user runs it: the same map from every kind of recording, and what goes wrong on the way."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imagination.deployment.load import load
+from imagination.mapping.map_io import load_layer, load_maps, load_objects
+from imagination.mapping.semantic_map import Maps
+from imagination.mapping.semantic_mapper import SemanticMapper
+from tests.conftest import ROOT, Command
+from tests.helpers.robot import Taken, corridor_path, drive, record_bag, record_tum, seconds
+from tests.helpers.rooms import tiny_room
+from tests.helpers.toy_units import CAMERA
+
+K = "recording.camera.values.colour={width:48,height:48,fx:24,fy:24,cx:23.5,cy:23.5}"
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Taken]:
+    scene = tiny_room()
+    return list(drive(scene, CAMERA, corridor_path(scene.free_space, 12)))
+
+
+def direct(unit_file: Path, frames: list[Taken]) -> Maps:
+    """The map made from the scene itself, without any recording."""
+    mapper = SemanticMapper(load(unit_file))
+    for frame in frames:
+        mapper.update(frame.rgb, frame.depth, frame.pose)
+    return mapper.maps
+
+
+def at(maps: Maps, threshold: float) -> Maps:
+    return replace(maps, thresholds=(threshold,))
+
+
+def same(one: Maps, other: Maps) -> None:
+    assert (one.grid, one.categories, one.thresholds) == (other.grid, other.categories, other.thresholds)
+    for name in ("written", "known"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    for name in ("probabilities", "occupancy"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-5)
+
+
+def test_a_tum_folder_and_a_bag_give_the_map_of_the_scene(
+    command: Command, tmp_path: Path, unit_file: Path, frames: list[Taken]
+) -> None:
+    record_tum(tmp_path / "tum", frames, CAMERA)
+    record_bag(tmp_path / "drive", frames, CAMERA)
+    wanted = direct(unit_file, frames)
+    assert wanted.known.sum() > 400 and wanted.probabilities.max() > 0.5
+    for arguments in (["recording=tum", "recording.path=tum", K], ["recording=bag", "recording.path=drive"]):
+        done = command("map", *arguments, f"unit={unit_file}", "viewer=preview", "viewer.format=gif")
+        assert done.returncode == 0, done.stderr
+        assert "12 frames mapped, 0 skipped" in done.stderr
+        folder = (tmp_path / "outputs" / "map" / "latest").resolve()
+        maps = load_maps(folder)
+        same(maps, wanted)
+        assert maps.frame == "map"
+        assert (load_layer(folder / "map.yaml").layer == wanted.occupancy_layer()).all()
+        assert (load_layer(folder / "chair.yaml").layer == wanted.category_layer("chair")).all()
+        assert len(load_objects(folder / "objects.geojson")) == len(wanted.objects())
+        assert (folder / "map.png").is_file() and (folder / "preview.gif").is_file()
+
+
+@pytest.mark.slow
+def test_a_drive_through_a_homes_corridor(command: Command, tmp_path: Path, unit_file: Path) -> None:
+    """The same in a furnished home, along the longest way through it."""
+    from hydra.utils import instantiate
+
+    from imagination.config.compose import compose
+
+    scene = instantiate(compose("render", ["scale=test"]).data.scenes).load("test_0000")
+    frames = list(drive(scene, CAMERA, corridor_path(scene.free_space, 60)))
+    record_tum(tmp_path / "tum", frames, CAMERA)
+    record_bag(tmp_path / "drive", frames, CAMERA, "sqlite3", odometry=True)
+    wanted = direct(unit_file, frames)
+    for arguments in (["recording=tum", "recording.path=tum", K], ["recording=bag", "recording.path=drive"]):
+        done = command("map", *arguments, f"unit={unit_file}", timeout=600)
+        assert done.returncode == 0, done.stderr
+        same(load_maps(tmp_path / "outputs" / "map" / "latest"), wanted)
+
+
+def test_a_corrupt_image_leaves_the_map_before_it(
+    command: Command, tmp_path: Path, unit_file: Path, frames: list[Taken]
+) -> None:
+    record_tum(tmp_path / "tum", frames, CAMERA)
+    (tmp_path / "tum" / "rgb" / f"{seconds(frames[5].stamp)}.png").write_bytes(b"nothing")
+    done = command("map", "recording.path=tum", K, f"unit={unit_file}", "extent=3.0", "threshold=0.3")
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert "7 bytes that are no image; what came before it is mapped and saved" in done.stderr
+    assert "5 frames mapped" in done.stderr
+    assert "lie outside the map of fixed size and are lost" in done.stderr
+    maps = load_maps(tmp_path / "outputs" / "map" / "latest")
+    assert maps.grid.columns == 25 and maps.known.sum() > 50
+    assert maps.thresholds == (0.3,)
+    found = load_objects(tmp_path / "outputs" / "map" / "latest" / "objects.geojson")
+    assert sum(thing.area for thing in found) > sum(thing.area for thing in at(maps, 0.55).objects())
+
+
+def test_the_map_has_the_frame_of_the_recording_and_survives_a_viewer_that_breaks(
+    command: Command, tmp_path: Path, unit_file: Path, frames: list[Taken]
+) -> None:
+    record_bag(tmp_path / "drive", frames, CAMERA, odometry=True)
+    arguments = ["recording=bag", "recording.path=drive", f"unit={unit_file}"]
+    done = command("map", *arguments, "viewer._target_=tests.modules.Failing")
+    assert done.returncode == 1 and "RuntimeError: the viewer is broken" in done.stderr
+    maps = load_maps(tmp_path / "outputs" / "map" / "latest")
+    assert maps.frame == "odom" and maps.known.sum() > 50
+    done = command("map", *arguments, "frame=earth", "--preview", "viewer.format=gif")
+    folder = tmp_path / "outputs" / "map" / "latest"
+    assert done.returncode == 0 and (folder / "preview.gif").is_file()
+    assert load_maps(folder).frame == "earth"
+
+
+def test_a_viewer_is_closed_where_the_map_cannot_be_saved(
+    command: Command, tmp_path: Path, unit_file: Path, frames: list[Taken]
+) -> None:
+    record_tum(tmp_path / "tum", frames, CAMERA)
+    arguments = ["recording.path=tum", K, f"unit={unit_file}", "viewer._target_=tests.modules.Blocking"]
+    done = command("map", *arguments)
+    assert done.returncode == 1 and "IsADirectoryError" in done.stderr
+    assert len(list((tmp_path / "outputs" / "map").glob("*/closed"))) == 1
+
+
+def test_if_no_frame_can_be_mapped_it_is_an_error(
+    command: Command, tmp_path: Path, unit_file: Path, frames: list[Taken]
+) -> None:
+    record_tum(tmp_path / "tum", frames, CAMERA)
+    done = command("map", "recording.path=tum", K, f"unit={unit_file}", "floor_height=-3")
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "no frame could be mapped. 0 frames mapped, 12 skipped" in done.stderr
+    assert "mount_height: the robot's camera is at 4.25 m, the units' at 1.25" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["unit=a.onnx"], "recording.path: got none"),
+        (["recording.path=x"], "unit: got none"),
+        (["recording.path=x", "unit=a.onnx"], "unit: got a.onnx, but there is no such file"),
+        (["recording=rosbag", "recording.path=x"], "bag folder scannet tum"),
+        (["recording.path=x", "unit=a.onnx,b.onnx", "-m"], "-m: imagination.map knows no sweeps"),
+    ],
+)
+def test_mistakes_get_one_message(command: Command, arguments: list[str], told: str) -> None:
+    done = command("map", *arguments)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert told in " ".join(done.stderr.split())
+
+
+def test_ctrl_c_saves_the_map_so_far(tmp_path: Path, unit_file: Path, frames: list[Taken]) -> None:
+    many = [
+        frame._replace(stamp=frames[0].stamp + number * 10**8) for number, frame in enumerate(frames * 150)
+    ]
+    record_bag(tmp_path / "drive", many, CAMERA)
+    arguments = ["recording=bag", "recording.path=drive", f"unit={unit_file}"]
+    arguments.append("viewer._target_=tests.modules.Marker")
+    with open(tmp_path / "told", "w") as told:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "imagination.map", *arguments],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stderr=told,
+        )
+        try:
+            while not list((tmp_path / "outputs").glob("map/*/shown")):
+                assert process.poll() is None, (tmp_path / "told").read_text()
+                time.sleep(0.02)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(120) == 130
+        finally:
+            process.kill()
+    text = (tmp_path / "told").read_text()
+    assert "Traceback" not in text and "Interrupted; the map of " in text
+    assert load_maps(tmp_path / "outputs" / "map" / "latest").known.any()

@@ -1,0 +1,147 @@
+"""Plugins: what is found, what is refused and why, and that a broken one stops nobody."""
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from imagination.config.plugin_registry import GROUP, Plugin, check, discover, provided
+from imagination.plugins import main
+from imagination.utils.errors import UserError
+from tests.conftest import Command
+
+
+def make(folder: Path, **files: str) -> Path:
+    """A plugin folder; a file's name has __ for each slash and no ending for YAML."""
+    for name, text in files.items():
+        path = folder / name.replace("__", "/")
+        path = path if path.suffix else path.with_suffix(".yaml")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return folder
+
+
+def found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Plugin]:
+    monkeypatch.chdir(tmp_path)
+    return {plugin.name: plugin for plugin in discover()}
+
+
+def test_a_folder_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make(tmp_path / "plugins" / "rooms", **{"conf__data__scenes__mine": "a: 1", "pack__x": ""})
+    (tmp_path / "plugins" / "rooms" / "pack" / "__init__.py").touch()
+    plugin = found(tmp_path, monkeypatch)["rooms"]
+    assert (plugin.problem, plugin.options, plugin.packages) == ("", ["data/scenes/mine"], ["pack"])
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        ({"readme": "x"}, "no config found in"),
+        ({"conf__model__mine": "a: [1"}, r"model/mine.yaml cannot be read"),
+        ({"conf__model__mine": "a: 2026-13-45"}, r"model/mine.yaml cannot be read"),
+        ({"conf__model__mine": "a: !!bool x"}, r"model/mine.yaml cannot be read"),
+        ({"conf__scale__desk": "a: 1"}, "'scale/desk' exists already in the core"),
+    ],
+)
+def test_a_broken_folder_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: dict[str, str], told: str
+) -> None:
+    make(tmp_path / "plugins" / "broken", **files)
+    make(tmp_path / "plugins" / "sound", conf__model__other="a: 1")
+    both = found(tmp_path, monkeypatch)
+    assert told in both["broken"].problem
+    assert both["sound"].problem == ""
+
+
+def test_what_provides_nothing_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    make(tmp_path / "plugins" / "mine", conf__assets__mine="a: 1")
+    monkeypatch.chdir(tmp_path)
+    assert "mine" not in {name for name, _, _ in provided("assets")}
+    assert "assets/mine.yaml: names no _target_" in caplog.text
+
+
+def test_two_plugins_may_not_add_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("first", "second"):
+        make(tmp_path / "plugins" / name, conf__model__mine="a: 1")
+    both = found(tmp_path, monkeypatch)
+    assert both["first"].problem == ""
+    assert "'model/mine' exists already in folder" in both["second"].problem
+
+
+class Distribution:
+    name, version = "rooms-package", "1.2"
+
+
+def install(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    point = EntryPoint("rooms", value, GROUP)
+    vars(point)["dist"] = Distribution()
+    monkeypatch.setattr(
+        "imagination.config.plugin_registry.entry_points", lambda group: [point] if group == GROUP else []
+    )
+
+
+def test_an_installed_distribution_is_found_without_importing_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make(tmp_path / "site" / "rooms_package", conf__model__mine="a: 1")
+    (tmp_path / "site" / "rooms_package" / "__init__.py").write_text("raise RuntimeError('imported')")
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    install(monkeypatch, "rooms_package.conf")
+    plugin = found(tmp_path, monkeypatch)["rooms"]
+    assert (plugin.origin, plugin.problem) == ("distribution rooms-package 1.2", "")
+    assert plugin.options == ["model/mine"]
+    assert "RuntimeError: imported" in check(plugin)
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [("no_such_package.conf", "no package 'no_such_package'"), ("hydra.nothing", "no config found")],
+)
+def test_a_broken_distribution_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: str, told: str
+) -> None:
+    install(monkeypatch, value)
+    assert told in found(tmp_path, monkeypatch)["rooms"].problem
+
+
+def test_unknown_arguments_are_refused() -> None:
+    with pytest.raises(UserError, match="got deep=true, expected check=true"):
+        main(["deep=true"])
+
+
+def test_listing(command: Command, example_plugin: Path) -> None:
+    make(example_plugin.parent / "broken", conf__model__mine="_target_: no_such_package.Thing")
+    done = command("plugins")
+    assert done.returncode == 0
+    assert (
+        "adds callbacks/counting, data/scenes/box_rooms, experiment/blind_seats, model/blind" in done.stdout
+    )
+    done = command("plugins", "check=true")
+    assert done.returncode == 1
+    assert "no_such_package" in done.stdout
+
+
+def test_a_broken_plugin_stops_nobody_unless_it_is_used(command: Command, tmp_path: Path) -> None:
+    make(
+        tmp_path / "plugins" / "broken",
+        conf__model__mine="_target_: no_such_package.Thing",
+        conf__scale__desk="a: 1",
+    )
+    done = command("train", "+experiment=chair_unet", "scale=test", "--cfg", "job")
+    assert done.returncode == 0
+    assert "broken (folder" in done.stderr and "'scale/desk' exists already" in done.stderr
+    done = command("train", "model=mine", "--cfg", "job")
+    assert done.returncode == 2
+    assert "is left out" in done.stderr and "Could not find 'model/mine'" in done.stderr
+
+
+def test_the_example_adds_scenes_a_unit_and_a_callback(
+    command: Command, example_plugin: Path, tmp_path: Path
+) -> None:
+    done = command("train", "+experiment=blind_seats", "scale=test")
+    assert done.returncode == 0, done.stderr
+    run = tmp_path / "outputs" / "blind_seats" / "latest"
+    assert (run / "rounds.txt").read_text() == "2"
+    assert "chair" in (run / "tables" / "mapping.csv").read_text()

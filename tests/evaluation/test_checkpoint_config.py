@@ -1,0 +1,198 @@
+"""The evaluation's config: the checkpoint's run, changed by the command line."""
+
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import pytest
+from omegaconf import DictConfig, OmegaConf
+
+from imagination.config.compose import compose
+from imagination.evaluation.checkpoint_config import check_homes, configured
+from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint
+from imagination.utils.errors import UserError
+from tests.helpers.room_source import Rooms
+
+
+def checkpoint(choices: list[str], *values: str, name: str = "best") -> Checkpoint:
+    """What a run with these overrides keeps of its config, without weights."""
+    config = compose("train", [*choices, *values, "paths.run=."])
+    OmegaConf.update(config, "choices", [*choices, *values])
+    return Checkpoint(Path(f"{name}.ckpt"), {KEY: ConfigInCheckpoint(config).description, "state_dict": {}})
+
+
+@pytest.fixture(scope="module")
+def chair() -> Checkpoint:
+    return checkpoint(["scale=test"])
+
+
+def node(config: DictConfig, key: str) -> Any:
+    value = OmegaConf.select(config, key)
+    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+
+
+NODES = (
+    "scale",
+    "seed",
+    "unit_categories",
+    "kernels",
+    "mapping",
+    "evaluation",
+    "data",
+    "camera",
+    "name",
+    "categories",
+)
+
+
+def test_without_overrides_everything_is_as_in_the_run() -> None:
+    choices = ["+experiment=bed_unet", "scale=test", "mapping/registration=mean"]
+    values = ["seed=3", "scale.viewpoint_sets=2", "kernels.neighbourhood=0.8", "name=mine"]
+    values += [
+        "evaluation.cell_widths=[4.0]",
+        "mapping.segmentation.max_range=3.5",
+        "camera.width=40",
+        "kernels.imaginable=0.9",
+    ]  # in the place of references
+    trained = compose("train", [*choices, *values, "paths.run=."])
+    evaluated = configured([checkpoint(choices, *values)], ["ckpt=best.ckpt"])
+    assert evaluated.sweep_dir is None  # holds the time, and would pass for what was swept
+    for key in NODES:
+        assert node(evaluated, key) == node(trained, key), key
+
+
+def test_an_override_reaches_everything_that_refers_to_it() -> None:
+    kept = checkpoint(["scale=test"], "seed=3", "aggregation_factor=0.5", "scale.viewpoint_sets=2")
+    changes = ["aggregation_factor=0.9", "scale.viewpoint_sets=1", "evaluation.cell_widths=[4]"]
+    config = configured([kept], ["ckpt=best.ckpt", *changes])
+    assert config.seed == 3
+    assert config.mapping.registration.aggregation_factor == 0.9  # the default, although the run had another
+    assert config.evaluation.viewpoint_sets == 1
+    assert config.evaluation.cell_widths == [4]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "model=projected",
+        "model/encoder=timm",
+        "model.unit.dilated_answers=0.1",
+        "scale.mirrored_answers=false",
+        "scale.dilated_answers=0.1",
+    ],
+)
+def test_networks_stay_as_they_were_trained(chair: Checkpoint, change: str) -> None:
+    with pytest.raises(UserError, match=f"got {change}, but networks are evaluated as they were trained"):
+        configured([chair], ["ckpt=best.ckpt", change])
+
+
+def test_the_registration_rule_can_be_swept(chair: Checkpoint) -> None:
+    config = configured([chair], ["ckpt=best.ckpt", "mapping/registration=overwrite"])
+    assert config.evaluation.approaches.imagination.rule._target_.endswith("Overwrite")
+    assert config.evaluation.approaches.seg_gt.rule._target_.endswith("Max")
+
+
+def test_units_of_several_categories_stand_side_by_side(chair: Checkpoint) -> None:
+    bed = checkpoint(["+experiment=bed_unet", "scale=test"], name="bed")
+    network = checkpoint(["+experiment=segmentation_hrnet", "scale=test"], name="network")
+    assert configured([bed, chair], ["ckpt=[a,b]"]).unit_categories == ["bed", "chair"]
+    assert configured([bed, chair, network], ["ckpt=[a,b,c]"]).unit_categories == ["bed", "chair"]
+    assert configured([network], ["ckpt=c"]).unit_categories == ["chair", "bed", "table"]
+    every = checkpoint(["+experiment=all_units", "scale=test"], name="every")
+    assert configured([every], ["ckpt=a", "unit_categories=[table]"]).unit_categories == ["table"]
+
+
+@pytest.mark.parametrize(
+    ("experiments", "told"),
+    [
+        (
+            ["chair_unet", "all_units"],
+            r"a\.ckpt and b\.ckpt, which both give chair, expected each category once",
+        ),
+        (
+            ["chair_unet", "bed_unet", "segmentation_hrnet", "segmentation_hrnet"],
+            r"c\.ckpt and d\.ckpt, which both",
+        ),
+    ],
+)
+def test_two_checkpoints_of_one_category_are_refused_by_name(experiments: list[str], told: str) -> None:
+    given = zip(experiments, "abcd", strict=False)
+    with pytest.raises(UserError, match=told):
+        configured([checkpoint([f"+experiment={one}", "scale=test"], name=name) for one, name in given], [])
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        (
+            "scale.resolution=0.1",
+            r"bed\.ckpt: is of bed at 0\.1 m a cell, but checkpoint best\.ckpt asks for chair",
+        ),
+        (
+            "camera.width=40",
+            r"bed\.ckpt: was trained with the camera .*40.*, but checkpoint best\.ckpt asks for .*48",
+        ),
+    ],
+)
+def test_checkpoints_that_differ_are_refused_with_both(chair: Checkpoint, value: str, told: str) -> None:
+    bed = checkpoint(["+experiment=bed_unet", "scale=test"], value, name="bed")
+    with pytest.raises(UserError, match=told):
+        configured([chair, bed], ["ckpt=[a,b]"])
+
+
+def test_a_category_that_no_checkpoint_gives_is_refused(chair: Checkpoint) -> None:
+    network = checkpoint(
+        ["+experiment=segmentation_hrnet", "scale=test"], "unit_categories=[chair]", name="net"
+    )
+    with pytest.raises(UserError, match=r"net\.ckpt: is of chair .* add a checkpoint of bed"):
+        configured([chair, checkpoint(["+experiment=bed_unet", "scale=test"], name="bed"), network], [])
+
+
+def test_one_segmentation_network_is_enough(chair: Checkpoint) -> None:
+    network = checkpoint(["+experiment=segmentation_hrnet", "scale=test"], name="net")
+    assert configured([chair], ["ckpt=a", "ade20k=weights"]).ade20k == "weights"
+    with pytest.raises(UserError, match=r"got weights beside checkpoint net\.ckpt"):
+        configured([chair, network], ["ckpt=[a,b]", "ade20k=weights"])
+
+
+def test_the_study_adds_its_rows(chair: Checkpoint) -> None:
+    config = configured([chair], ["ckpt=a", "+study=paper"])
+    assert config.name == "study" and config.evaluation.known_homes == config.scale.homes.test
+    assert list(config.evaluation.approaches)[-2:] == ["rgb_shuffled", "oracle"]
+
+
+@pytest.mark.parametrize("override", ["unit_categories=[chair,bed]", "scale.resolution=0.1"])
+def test_a_checkpoint_of_something_else_is_refused(chair: Checkpoint, override: str) -> None:
+    with pytest.raises(UserError, match=r"best\.ckpt: is of chair at 0\.12 m"):
+        configured([chair], ["ckpt=best.ckpt", override])
+
+
+@pytest.mark.parametrize("override", ["camera.width=40", "scale.ego_extent=4.2", "camera.mount_height=0.9"])
+def test_another_camera_or_map_is_refused(chair: Checkpoint, override: str) -> None:
+    with pytest.raises(UserError, match=r"best\.ckpt: was trained with the (camera|ego) "):
+        configured([chair], ["ckpt=best.ckpt", override])
+
+
+def test_nothing_but_plain_values_is_taken_from_a_checkpoint(chair: Checkpoint) -> None:
+    for value in ("${oc.env:HOME}", "_target_"):
+        strange = Checkpoint(chair.path, deepcopy(chair.state))
+        strange.state[KEY]["values"]["name"] = value
+        with pytest.raises(UserError, match="do not use this file"):
+            configured([strange], ["ckpt=best.ckpt"])
+
+
+def test_homes_of_training_are_not_measured_in(caplog: pytest.LogCaptureFixture) -> None:
+    def trained_in(*homes: str) -> Checkpoint:
+        state = {"SceneData": {"homes": {home: rooms.fingerprint(home) for home in homes}}}
+        return Checkpoint(Path(f"{homes[0]}.ckpt"), state)
+
+    rooms = Rooms(3)
+    check_homes([trained_in("train_0", "train_1"), Checkpoint(Path("old.ckpt"), {"callbacks": {}})], rooms)
+    assert caplog.text == ""
+    check_homes([trained_in("train_0"), trained_in("train_0", "train_1")], rooms)
+    assert "were trained in different homes" in caplog.text
+    for home in ("val_2", "test_0"):
+        with pytest.raises(
+            UserError, match=f"{home}.ckpt was trained in {home}, which is {home} of the split"
+        ):
+            check_homes([trained_in("train_0"), trained_in(home)], rooms)

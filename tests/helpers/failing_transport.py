@@ -1,0 +1,45 @@
+"""Transports that end the service: one once the map of its only frame is told, one before anything came."""
+
+import signal
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from imagination_ros.codec import Codec
+
+from imagination.geometry.pose import Pose
+from tests.helpers.robot import BEGIN, ROS2, Messages, Taken, spoken
+from tests.helpers.toy_units import CAMERA
+
+
+class FailingTransport:
+    """Brings one frame, interrupts the service once its map is told, and fails when it is closed."""
+
+    def __init__(self, **_: Any) -> None:
+        self.codec = Codec("ros2_humble", 10**8)
+
+    def open(self) -> None:
+        rgb, depth = np.full((48, 48, 3), 90, np.uint8), np.full((48, 48), 2.0, np.float32)
+        taken = Taken(BEGIN, Pose(0.0, 0.0, 0.0), rgb, depth)
+        self.topics = spoken(taken, CAMERA, Messages(ROS2), True)
+
+    def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
+        for name, _, message in self.topics:
+            if name == topic:
+                receive(message)
+
+    def publish(self, topic: str, kind: str, message: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    def close(self) -> None:
+        raise RuntimeError("the network is gone")
+
+
+class SilentTransport(FailingTransport):
+    """Interrupts the service, having brought nothing."""
+
+    def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    def close(self) -> None:
+        pass

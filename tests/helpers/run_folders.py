@@ -1,0 +1,97 @@
+"""Results folders made by hand: what an evaluation of small random maps would leave."""
+
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from imagination.evaluation import saved_maps, single_views
+from imagination.evaluation.saved_maps import SavedMaps
+from imagination.evaluation.single_views import CELLS, Singles, SingleView
+from imagination.evaluation.trials import Run
+from imagination.geometry.grid import Grid
+
+APPROACHES = ["seg_gt", "imagination_seen", "imagination", "mine"]
+CATEGORIES = ["chair", "bed"]
+WIDTHS = [3.0, 2.0]
+HOMES = ["test_0000", "test_0001", "test_0002"]
+SETS = 2
+
+
+def make_config(**changes: Any) -> dict[str, Any]:
+    config = {
+        "name": "made",
+        "seed": 7,
+        "unit_categories": CATEGORIES,
+        "scale": {"resolution": 0.1, "homes": {"test": len(HOMES)}},
+        "data": {"scenes": {"_target_": "tests.sources.Rooms"}},
+        "evaluation": {
+            "approaches": {name: {} for name in APPROACHES},
+            "cell_widths": WIDTHS,
+            "viewpoint_sets": SETS,
+            "seed": 0,
+            "resamples": 200,
+        },
+        "choices": ["+experiment=made", "seed=7"],
+    }
+    return {**config, **changes}
+
+
+def make_maps(run: Run, rng: np.random.Generator) -> SavedMaps:
+    """Truth is a block; each approach scores it higher than the rest, some more than others."""
+    shape = (len(CATEGORIES), 30, 40)
+    truth = np.zeros(shape, bool)
+    truth[:, 5:12, 6:16] = True
+    level = np.stack([rng.integers(0, 70, shape) + 10 * (at + 1) * truth for at in range(len(APPROACHES))])
+    level = np.where(rng.random(level.shape) < 0.6, 0, level).clip(0, 99)
+    threshold = np.arange(30, 30 + len(APPROACHES) * len(CATEGORIES), dtype=np.uint8)
+    present = np.array([True, run.home != HOMES[2]])
+    seen = np.ones(shape[1:], bool)
+    return SavedMaps(
+        run, APPROACHES, CATEGORIES, level.astype(np.uint8), threshold.reshape(-1, len(CATEGORIES)),
+        truth & present[:, None, None], present, seen, truth.any(axis=0),
+        np.array([[0.5, 0.5, 0.3], [0.5, 0.5, 2.0], [2.0, 1.5, 1.0]]), Grid(0.1, 30, 40, (-1.0, -1.0)),
+    )  # fmt: skip
+
+
+def make_singles(rng: np.random.Generator) -> Singles:
+    label = np.zeros((21, 21), bool)
+    label[4:9, 4:9] = True
+    shown = [
+        SingleView(
+            rank, category, "test_0000", np.zeros(3), 0.5, rng.integers(0, 255, (16, 16, 3), np.uint8), label, label,
+            label, rng.random((21, 21), np.float32), {name: label for name in APPROACHES},
+        )
+        for category in CATEGORIES
+        for rank in single_views.RANKS
+    ]  # fmt: skip
+    falling = np.stack([np.arange(99, 0, -1), 2 * np.arange(99, 0, -1), np.full(99, 150)], axis=-1)
+    tallies = {key: falling for key in product(APPROACHES, CATEGORIES)}
+    return Singles(shown, tallies, {key: falling for key in product(CELLS, CATEGORIES)}, 12, 0.1)
+
+
+def make_folder(folder: Path, drawn: int = 0, **changes: Any) -> Path:
+    """Config, maps, the tables that follow from these by plain loops, and single views."""
+    rng = np.random.default_rng(drawn)
+    (folder / "tables").mkdir(parents=True)
+    (folder / "config.yaml").write_text(yaml.safe_dump(make_config(**changes), sort_keys=False))
+    lines = ["approach,category,cell_width,home,viewpoint_set,iou,correct_pixels,false_pixels,truth_pixels"]
+    for home, width, number in product(HOMES, WIDTHS, range(SETS)):
+        maps = make_maps(Run(home, width, number), rng)
+        saved_maps.save(folder, maps)
+        for place, approach in enumerate(APPROACHES):
+            for layer, category in enumerate(CATEGORIES):
+                if not maps.present[layer]:
+                    continue
+                predicted = maps.level[place, layer] >= maps.threshold[place, layer]
+                truth = maps.truth[layer]
+                correct, false = int((predicted & truth).sum()), int((predicted & ~truth).sum())
+                value = correct / (false + int(truth.sum()))
+                lines.append(
+                    f"{approach},{category},{width:g},{home},{number},{value:.4f},{correct},{false},{int(truth.sum())}"
+                )
+    (folder / "tables" / "runs.csv").write_text("\n".join(lines) + "\n")
+    single_views.write(folder, make_singles(rng))
+    return folder

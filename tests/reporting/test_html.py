@@ -1,0 +1,171 @@
+"""The page: whole, escaped, the same bytes each time, and right in a real browser."""
+
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import pytest
+from matplotlib.figure import Figure
+
+from imagination.report import main, read
+from imagination.reporting import html
+from imagination.reporting.content import Content, Drawing, Section
+from tests.conftest import Command
+from tests.helpers.run_folders import make_folder
+
+EVIL = "<script>alert('x')</script><img src=http://example.org/x>\"&"
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+VOID = {"meta", "img", "source", "br", "link"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with its report."""
+    made = make_folder(
+        tmp_path_factory.mktemp("made") / "run", note=EVIL, seed=EVIL, choices=[f"+experiment={EVIL}"]
+    )
+    (made / "tables" / "extra.csv").write_text(f'what,value\n"{EVIL.replace(chr(34), "")}",1\n')
+    main([str(made)])
+    return made
+
+
+class Tree(HTMLParser):
+    """Checks that elements are closed in order, and keeps what they refer to."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.referred: list[str] = []
+        self.tags: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.referred += [value or "" for name, value in attrs if name in ("src", "srcset", "href")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_the_page_is_whole_and_refers_to_nothing_outside(folder: Path) -> None:
+    tree = Tree()
+    tree.feed((folder / "report.html").read_text())
+    assert tree.open == []
+    assert len(tree.referred) > 20
+    assert all(target.startswith(("data:image/png;base64,", "#")) for target in tree.referred)
+    assert "script" not in tree.tags
+
+
+def test_everything_that_comes_from_files_is_escaped(folder: Path) -> None:
+    text = (folder / "report.html").read_text()
+    assert "<script" not in text and "<img src=http" not in text
+    assert text.count("&lt;script&gt;alert") >= 4  # config, seed, command, table
+
+
+def test_tables_and_figures_lie_beside_the_page(folder: Path) -> None:
+    for stem in ("iou", "correct_pixels", "paired_iou", "paired_correct_pixels"):
+        for kind in ("csv", "md", "tex"):
+            assert (folder / "tables" / f"{stem}.{kind}").stat().st_size > 100
+    pictures = {path.stem for path in (folder / "figures").glob("*.png")}
+    assert pictures == {path.stem for path in (folder / "figures").glob("*.pdf")}
+    assert {"maps_chair", "single_bed", "distribution_iou_chair", "viewpoints"} <= pictures
+    assert cv2.imread(str(folder / "figures" / "maps_chair.png")).std() > 0
+
+
+@pytest.mark.slow
+def test_a_second_report_is_the_same_bytes(folder: Path) -> None:
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    before = {path: path.read_bytes() for path in files}
+    main([str(folder)])
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_an_incomplete_folder_is_marked(folder: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(folder, tmp_path / "run")
+    table = copy / "tables" / "runs.csv"
+    table.write_text("".join(table.read_text().splitlines(keepends=True)[:-3]))
+    shutil.rmtree(copy / "maps")
+    (copy / "single_views.npz").unlink()
+    (copy / "tables" / "thresholds.csv").unlink()
+    text = html.html(read(copy))
+    assert '<div class="problems"' in text and "runs missing" in text and "maps/ is missing" in text
+    assert '<div class="problems"' not in (folder / "report.html").read_text()
+
+
+def test_names_from_tables_lead_nowhere(tmp_path: Path) -> None:
+    """Categories become names of files."""
+    evil = Drawing("single_/../../../x", "A caption.", Figure)
+    long = Drawing("ö" * 300, "Another.", Figure)
+    content = Content("made", [], [], [Section("Figures", drawings=(evil, long))], [], "")
+    html.write_figures(tmp_path / "run" / "figures", content, kinds=("png",))
+    written = {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()}
+    folder = Path("run") / "figures"
+    assert written == {folder / "single__.._.._.._x.png", folder / f"{'ö' * 50}.png"}
+
+
+def test_names_with_signs_of_formulas_are_drawn_as_text() -> None:
+    def draw() -> Figure:
+        figure = Figure()
+        figure.text(0.5, 0.5, r"$\frac$")
+        return figure
+
+    assert html.png(Drawing("a", "", draw), "light", 20)[1].startswith(b"\x89PNG")
+
+
+def test_a_page_for_the_docs(folder: Path, tmp_path: Path) -> None:
+    main([str(folder), "--docs", str(tmp_path / "docs" / "study")])
+    text = (tmp_path / "docs" / "study.md").read_text()
+    for target in re.findall(r"\]\(([^)]+)\)", text):
+        assert (tmp_path / "docs" / target).stat().st_size > 0
+    assert "| Imagination |" in text and "--docs docs/study" in text and "![" in text
+
+
+def test_the_command_tells_mistakes_shortly(command: Command) -> None:
+    done = command("report", "nowhere")
+    assert done.returncode == 2 and done.stderr.startswith("error: report: got nowhere")
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome is installed; apt-get install chromium")
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_in_a_browser_nothing_overflows_and_every_picture_loads(
+    folder: Path, tmp_path: Path, dark: bool
+) -> None:
+    """At the width of a phone and of a desktop, side by side in frames of one document that measures them."""
+    probe = tmp_path / "probe.html"
+    widths = 390, 1400
+    frames = "".join(
+        f'<iframe style="border:0;width:{width}px;height:2000px" src="{(folder / "report.html").as_uri()}"></iframe>'
+        for width in widths
+    )
+    probe.write_text(
+        f"""<body style="margin:0;width:1800px">{frames}<p id="told"></p><script>
+        window.onload = () => {{ told.textContent = [...document.querySelectorAll("iframe")].map(frame => {{
+          const page = frame.contentDocument, root = page.documentElement;
+          const pictures = [...page.images];
+          const text = page.querySelector("h1").getBoundingClientRect();
+          return [root.scrollWidth, pictures.length, pictures.filter(p => p.complete && p.naturalWidth).length,
+            getComputedStyle(page.body).backgroundColor, pictures.filter(p => p.width < 250).length].join(" / ");
+        }}).join(" ; "); }};
+        </script></body>"""
+    )
+    options = [
+        "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1800,2000",
+        f"--user-data-dir={tmp_path / 'profile'}", "--allow-file-access-from-files", "--proxy-server=127.0.0.1:9",
+        f"--blink-settings=preferredColorScheme={0 if dark else 1}",
+    ]  # fmt: skip
+    assert BROWSER is not None
+    done = subprocess.run(
+        [BROWSER, *options, "--dump-dom", probe.as_uri()], capture_output=True, text=True, timeout=120
+    )
+    found = re.search(r'<p id="told">([^<]+)</p>', done.stdout)
+    assert found, done.stderr
+    for width, told in zip(widths, found.group(1).split(" ; "), strict=True):
+        scrolled, pictures, loaded, background, tiny = told.split(" / ")
+        assert int(scrolled) <= width, f"the page is {scrolled} wide in {width}"
+        assert int(pictures) == int(loaded) > 10
+        assert background == ("rgb(15, 19, 25)" if dark else "rgb(244, 246, 248)")
+        assert int(tiny) == 0

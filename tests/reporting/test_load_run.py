@@ -1,0 +1,303 @@
+"""What a folder lacks is told and the rest is read; what is damaged is named."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from tensorboard.compat.proto.event_pb2 import Event
+from tensorboard.compat.proto.summary_pb2 import Summary
+from tensorboard.summary.writer.event_file_writer import EventFileWriter
+
+from imagination.report import read
+from imagination.reporting.html import drawings
+from imagination.reporting.load_run import MOST_RESAMPLES, Results
+from imagination.evaluation.records import write_homes
+from imagination.utils.errors import UserError
+from tests.helpers.run_folders import make_config, make_folder
+
+
+def problems(folder: Path) -> str:
+    return "\n".join(read(folder).problems)
+
+
+def test_missing_runs_are_told(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "run")
+    table = folder / "tables" / "runs.csv"
+    kept = [
+        line
+        for line in table.read_text().splitlines()
+        if not line.startswith("imagination,chair,2,test_0001")
+    ]
+    table.write_text("\n".join(line for line in kept if not line.startswith("mine,bed,3")) + "\n")
+    told = problems(folder)
+    assert (
+        "imagination, chair, cell width 2 m: 2 of 6 runs missing (test_0001 set 0, test_0001 set 1)" in told
+    )
+    assert "mine, bed, cell width 3 m: 4 of 4 runs missing (test_0000 set 0" in told
+    assert len(told.splitlines()) == 2
+    stems = {table.stem for section in read(folder).sections for table in section.layouts}
+    assert "iou" in stems
+
+
+def test_a_category_without_runs_is_told(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "run", unit_categories=["chair", "bed", "sofa"])
+    assert problems(folder) == "sofa: no run of any approach"
+
+
+def test_without_its_table_an_evaluation_is_counted_from_the_maps_so_far(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "run")
+    whole = Results(folder).counts
+    (folder / "tables" / "runs.csv").unlink()
+    (folder / "maps" / "test_0002_2m_1.npz").unlink()
+    results = Results(folder)
+    for key, runs in whole.items():
+        for run, counts in results.counts[key].items():
+            assert (counts == runs[run]).all()
+    told = "\n".join(results.problems)
+    assert "counted again from the maps" in told and "test_0002 set 1" in told
+
+
+@pytest.mark.parametrize(
+    "name", ["tables/runs.csv", "tables/thresholds.csv", "tables/provenance.json", "maps/test_0000_3m_0.npz",
+             "single_views.npz", "tables/ego.csv"],
+)  # fmt: skip
+def test_damaged_files_are_named_and_the_rest_is_shown(tmp_path: Path, name: str) -> None:
+    folder = make_folder(tmp_path / "run")
+    path = folder / name
+    if path.suffix == ".npz":
+        path.write_bytes(path.read_bytes()[:-300])
+    else:
+        path.write_text("a,b\n1\n" if name.endswith("ego.csv") else "approach,cells\nx,\x00\n{")
+    content = read(folder)
+    assert any(name in problem and "damaged" in problem for problem in content.problems), content.problems
+    assert any(section.layouts for section in content.sections)
+
+
+@pytest.mark.parametrize("name", ["maps/test_0000_3m_0.npz", "single_views.npz"])
+def test_a_single_wrong_bit_is_named(tmp_path: Path, name: str) -> None:
+    """In compressed data zlib finds some of them, where it raises errors of its own."""
+    folder = make_folder(tmp_path / "run")
+    whole = (folder / name).read_bytes()
+    named = 0
+    for place in range(60, len(whole), 397):  # in headers of the archive some change nothing
+        (folder / name).write_bytes(whole[:place] + bytes([whole[place] ^ 8]) + whole[place + 1 :])
+        results = Results(folder)
+        there = len(results.maps) == 12 and bool(results.singles[0])
+        named += f"{name} is damaged and left out" in "".join(results.problems)
+        assert there != bool(results.problems)
+    assert named > len(whole) // 397 / 2
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "wrong", "told"),
+    [
+        ("maps/test_0000_3m_0.npz", "truth", np.zeros((2, 30, 41), bool), "truth: got bool of shape (2, 30, 41)"),
+        ("maps/test_0000_3m_0.npz", "level", np.zeros((4, 2, 30, 40)), "level: got float64"),
+        ("maps/test_0000_3m_0.npz", "approaches", np.array(["one"]), "level: got uint8 of shape (4, 2, 30, 40)"),
+        ("maps/test_0000_3m_0.npz", "resolution", np.array(0.0), "resolution: got 0.0"),
+        ("maps/test_0000_3m_0.npz", "poses", np.full((3, 3), np.nan), "poses: got"),
+        ("maps/test_0000_3m_0.npz", "poses", np.full((3, 3), 1e9), "poses: got"),
+        ("maps/test_0000_3m_0.npz", "cell_width", np.array(np.nan), "cell_width: got nan"),
+        ("maps/test_0000_3m_0.npz", "level", np.full((4, 2, 30, 40), 100, np.uint8), "level: got 100"),
+        ("maps/test_0000_3m_0.npz", "categories", np.array([b"chair", b"bed"]), "expected each name once"),
+        ("maps/test_0000_3m_0.npz", "categories", np.array(["chair", "chair"]), "expected each name once"),
+        ("single_views.npz", "category", np.arange(6), "expected names"),
+        ("maps/test_0000_3m_0.npz", "more", np.zeros(1), "unexpected keyword argument 'more'"),
+        ("single_views.npz", "seen", np.zeros((6, 21, 20), bool), "seen: got bool of shape (21, 20)"),
+        ("single_views.npz", "rgb", np.zeros((6, 16, 16, 4), np.uint8), "rgb: got uint8 of shape (16, 16, 4)"),
+        ("single_views.npz", "predicted", np.zeros((6, 4, 21, 21)), "seg_gt: got float64"),
+        ("single_views.npz", "approaches", np.array([], np.str_), "argument 2 is longer"),
+        ("single_views.npz", "resolution", np.array(np.inf), "resolution: got inf"),
+    ],
+)  # fmt: skip
+def test_arrays_that_do_not_fit_are_named(
+    tmp_path: Path, name: str, array: str, wrong: np.ndarray, told: str
+) -> None:
+    folder = make_folder(tmp_path / "run")
+    with np.load(folder / name) as file:
+        arrays = dict(file)
+    np.savez_compressed(folder / name, **{**arrays, array: wrong})
+    (problem,) = {line for line in read(folder).problems if line.startswith(f"{name} is damaged")}
+    assert told in problem
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "told"),
+    [
+        ("runs.csv", "seg_gt,chair,3,", "seg_gt,chair,nan,", "cell_width: got nan"),
+        ("runs.csv", "seg_gt,chair,3,", "seg_gt,chair,0.5e9,", "cell_width: got 500000000.0"),
+        ("runs.csv", ",70\n", f",{10**30}\n", f"{10**30} truth pixels"),
+        ("runs.csv", ",70\n", ",-70\n", "-70 truth pixels"),
+        ("thresholds.csv", ",150\n", ",50\n", "and 50 truth cells"),
+    ],
+)
+def test_counts_that_are_none_are_named(tmp_path: Path, name: str, old: str, new: str, told: str) -> None:
+    folder = make_folder(tmp_path / "run")
+    table = folder / "tables" / name
+    assert old in table.read_text()
+    table.write_text(table.read_text().replace(old, new, 1))
+    (problem,) = {line for line in read(folder).problems if line.startswith(f"tables/{name} is damaged")}
+    assert told in problem
+
+
+@pytest.mark.parametrize("told", ["[1]", '{"seconds": "long"}', f'{{"seconds": {10**400}}}', "[" * 100_000])
+def test_a_provenance_that_is_none_is_named(tmp_path: Path, told: str) -> None:
+    folder = make_folder(tmp_path / "run")
+    (folder / "tables" / "provenance.json").write_text(told)
+    assert "tables/provenance.json is damaged and left out" in problems(folder)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"evaluation": 5}, "evaluation is damaged: got 5, expected dict"),
+        (
+            {"evaluation": {"cell_widths": [3.0, "wide"]}},
+            "evaluation.cell_widths: got 'wide', expected a number",
+        ),
+        ({"evaluation": {"resamples": 0}}, r"evaluation.resamples: got 0, expected a number in \[1"),
+        ({"evaluation": {"viewpoint_sets": 10**12}}, "evaluation.viewpoint_sets: got 1000000000000"),
+        ({"scale": {"resolution": -1}}, "scale.resolution: got -1"),
+        ({"data": {"scenes": "rooms"}}, "data.scenes is damaged: got 'rooms'"),
+        ({"unit_categories": "chair"}, "unit_categories is damaged: got 'chair', expected list"),
+        (
+            {"unit_categories": ["chair", {"bed": 1}]},
+            "unit_categories is damaged: got {'bed': 1}, expected names",
+        ),
+        ({"ckpt": 3}, "ckpt is damaged: got 3, expected str or list"),
+        ({"more": {5: "five"}}, "got the key 5, expected text"),
+    ],
+)
+def test_a_config_that_a_report_cannot_go_by_is_refused(
+    tmp_path: Path, changes: dict[str, object], told: str
+) -> None:
+    folder = make_folder(tmp_path / "run", **changes)
+    with pytest.raises(UserError, match=told):
+        read(folder)
+
+
+@pytest.mark.parametrize(
+    "text", ["a: &b [*b]", "a: &b [1]\nc: [*b, *b]", "a: 2026-13-45", "a: " + "[" * 5000]
+)
+def test_yaml_that_no_run_writes_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(UserError, match=r"config\.yaml: cannot be read"):
+        read(tmp_path)
+
+
+def test_more_resamples_than_an_interval_needs_are_not_drawn(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "run", evaluation={"resamples": 10**9})
+    assert Results(folder).resamples == MOST_RESAMPLES
+
+
+def test_damaged_curves_are_named(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "run")
+    (folder / "tensorboard").mkdir()
+    (folder / "tensorboard" / "events.out.tfevents.1.host.1.0").write_bytes(b"nothing that TensorBoard knows")
+    assert "tensorboard" in problems(folder) and "damaged" in problems(folder)
+
+
+def log(folder: Path, **curves: list[float]) -> None:
+    """TensorBoard's file of some curves, a value every ten steps; __ in names stands for /."""
+    writer = EventFileWriter(str(folder))
+    for name, values in curves.items():
+        for place, value in enumerate(values):
+            told = Summary(value=[Summary.Value(tag=name.replace("__", "/"), simple_value=value)])
+            writer.add_event(Event(step=10 * place, wall_time=float(place), summary=told))
+    writer.close()
+
+
+def test_an_evaluation_shows_how_its_networks_were_trained(tmp_path: Path) -> None:
+    """Their commands and their curves side by side, units apart from segmentation; of those whose runs are there."""
+    paths = []
+    for name, predicts, scores in (
+        ("chair_unet", "maps", [0.25, 0.5]), ("bed_unet", "maps", [0.5]), ("hrnet", "images", [0.75]), ("gone", "", []),
+    ):  # fmt: skip
+        run = tmp_path / name / "run"
+        paths.append(str(run / "checkpoints" / "best.ckpt"))
+        if scores:
+            log(run / "tensorboard", train__loss=[3.0, 2.0, 1.0], val__iou=scores)
+            config = {"name": name, "choices": [f"+experiment={name}"], "model": {"predicts": predicts}}
+            (run / "config.yaml").write_text(yaml.safe_dump(config))
+    folder = make_folder(tmp_path / "study", ckpt=paths, choices=[])
+    evaluated = "python -m imagination.evaluate +study=paper ckpt=[…]"
+    (folder / "tables" / "provenance.json").write_text(json.dumps({"command": evaluated}))
+    content = read(folder)
+    assert content.problems == []
+    assert content.commands == [
+        *(f"python -m imagination.train +experiment={name}" for name in ("chair_unet", "bed_unet", "hrnet")),
+        evaluated,
+        f"python -m imagination.report {folder}",
+    ]
+    charts = {drawing.stem: drawing for drawing in drawings(content) if drawing.stem.startswith("curve_")}
+    assert set(charts) == {f"curve_{name}_{kind}" for name in ("loss", "iou") for kind in ("maps", "images")}
+    lines = {line.get_label(): line for line in charts["curve_iou_maps"].draw().axes[0].lines}
+    assert set(lines) == {"chair_unet", "bed_unet"}
+    assert lines["chair_unet"].get_xdata().tolist() == [0, 10]
+    assert lines["chair_unet"].get_ydata().tolist() == [0.25, 0.5]
+    (folder / "config.yaml").write_text(yaml.safe_dump(make_config(ckpt=paths[2], choices=[])))
+    assert read(folder).commands[0] == "python -m imagination.train +experiment=hrnet"
+
+
+@pytest.mark.parametrize(
+    ("given", "again"),
+    [
+        ("+experiment=made trainer.max_epochs=3", "+experiment=made trainer.max_epochs=3"),  # as it was given
+        ("resume=latest", "+experiment=made"),
+        ("ckpt_path=made/last.ckpt", "+experiment=made"),
+    ],
+)
+def test_a_training_is_made_again_as_it_was_begun(tmp_path: Path, given: str, again: str) -> None:
+    folder = make_folder(tmp_path / "run", choices=["+experiment=made"])
+    told = f"python -m imagination.train {given}"
+    (folder / "tables" / "provenance.json").write_text(json.dumps({"command": told}))
+    report = f"python -m imagination.report {folder}"
+    assert read(folder).commands == [f"python -m imagination.train {again}", report]
+    (tmp_path / "members.csv").write_text("")  # a sweep's member: its values, not the sweep
+    assert read(folder).commands == ["python -m imagination.train +experiment=made", report]
+
+
+def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="there is no such folder"):
+        read(tmp_path / "nothing")
+    with pytest.raises(UserError, match="expected the folder of a run, an evaluation or a sweep"):
+        read(tmp_path)
+    (tmp_path / "config.yaml").write_text("a: [1")
+    with pytest.raises(UserError, match=r"config.yaml: cannot be read"):
+        read(tmp_path)
+    (tmp_path / "config.yaml").write_text("just text")
+    with pytest.raises(UserError, match="got str"):
+        read(tmp_path)
+
+
+def test_a_run_that_never_evaluated_is_shown_as_that(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(make_config()))
+    content = read(tmp_path)
+    assert "runs.csv is missing: the evaluation has not ended" in content.problems[0]
+    assert content.sections == [] and "+experiment=made" in content.commands[0]
+
+
+def test_of_an_evaluation_that_stopped_the_homes_so_far_are_counted(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "run")
+    (folder / "tables" / "runs.csv").unlink()
+    write_homes(folder / "tables", [f"test_{number:04d}" for number in range(5)])
+    told = "counted again from the maps saved so far, of 3 of 5 homes; missing: test_0003, test_0004"
+    assert problems(folder).endswith(told)
+    assert dict(read(folder).facts)["Homes"] == "Rooms, 3 of the test split"
+
+
+@pytest.mark.parametrize("left", ["test_0001_2m_0.npz", "test_0001_3m_1.npz"])
+def test_whatever_maps_are_left_are_drawn(tmp_path: Path, left: str) -> None:
+    folder = make_folder(tmp_path / "run")
+    for path in (folder / "maps").iterdir():
+        if path.name != left:
+            path.unlink()
+    content = read(folder)
+    assert content.problems == [
+        "maps/: those of 11 of 12 runs are missing "
+        "(test_0000 3 m set 0, test_0000 3 m set 1, test_0001 3 m set 0, …)"
+    ]
+    for drawing in drawings(content):
+        drawing.draw()

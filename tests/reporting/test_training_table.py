@@ -1,0 +1,48 @@
+"""The table of what networks were trained on."""
+
+from pathlib import Path
+from typing import Any
+
+from imagination.evaluation.records import Report
+from imagination.reporting.training_table import training_rows
+from imagination.runs.checkpoint import KEY, CheckpointFiles
+from imagination.runs.checkpoint import Checkpoint as Read
+
+
+def checkpoint(
+    path: Path, name: str, predicts: str, categories: list[str], callbacks: dict[str, Any]
+) -> Read:
+    values = {"name": name, "unit_categories": categories, "model": {"predicts": predicts}}
+    state = {KEY: {"choices": [], "values": values}, "state_dict": {}, "callbacks": callbacks}
+    CheckpointFiles().save_checkpoint(state, path)
+    return Read.read(path)
+
+
+def counts(rounds: int) -> dict[str, Any]:
+    return {"rounds": rounds, "samples": 640 * rounds, "views": 900, "seconds": 30.0 * rounds, "best": 0.625}
+
+
+def test_every_network_tells_what_it_took(tmp_path: Path) -> None:
+    network = tmp_path / "network"
+    checkpoint(network / "last.ckpt", "hrnet", "images", ["chair", "bed"], {
+        "TrainingRecord": counts(9), "UntilFlat": {"flat": True},
+    })  # fmt: skip
+    best = checkpoint(
+        network / "best.ckpt", "hrnet", "images", ["chair", "bed"], {"TrainingRecord": counts(5)}
+    )
+    unit = checkpoint(tmp_path / "best.ckpt", "chair_unet", "maps", ["chair"], {"TrainingRecord": counts(4)})
+    old = checkpoint(tmp_path / "old.ckpt", "chair_unet", "maps", ["chair"], {})
+    report = Report({}, {}, {}, {"chair": ["test_0"]}, {"chair": []}, [], [], {}, {"chair": 0.5})
+    rows = training_rows([unit, best, old], report)
+    assert [(row["network"], row["category"], row["rounds"]) for row in rows] == [
+        ("chair_unet", "chair", "4"), ("hrnet", "chair", "9"), ("chair_unet", "chair", ""),
+    ]  # fmt: skip
+    assert [row["until"] for row in rows] == ["last round", "flat", ""]
+    assert [row["iou_first_person"] for row in rows] == ["", "0.5000", ""]
+    public = training_rows([unit], report, public=True)[1]
+    assert list(public) == list(rows[0])
+    assert {name: value for name, value in public.items() if value} == {
+        "network": "ade20k", "category": "chair", "iou_first_person": "0.5000",
+    }  # fmt: skip
+    whole = rows[1]  # the run's, not those of its best round
+    assert (whole["samples"], whole["minutes"], whole["iou_val_views"]) == ("5760", "4.5", "0.6250")

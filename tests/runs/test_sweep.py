@@ -1,0 +1,328 @@
+"""Sweeps: members run for themselves, what is done is never done again, and the end tells what failed."""
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+import yaml
+
+from imagination.config.compose import compose
+from imagination.config.user_messages import explain
+from imagination.runs import sweep_jobs
+from imagination.runs.folder import LAST
+from imagination.runs.locking import locked
+from imagination.runs.run_summary import settings
+from imagination.runs.sweep_jobs import key_of
+from imagination.utils.errors import UserError
+from tests.conftest import ROOT, Command
+
+SWEEPS = sorted(path.stem for path in (ROOT / "conf" / "sweep").glob("*.yaml"))
+JOB = ["+experiment=chair_unet", "scale=test"]
+
+
+def states(sweep: Path) -> list[str]:
+    return [member.state for member in sweep_jobs.read(sweep)]
+
+
+def only(pattern: Path) -> Path:
+    (path,) = pattern.parent.glob(pattern.name)
+    return path
+
+
+def test_members_are_numbered_in_order_and_found_again(tmp_path: Path) -> None:
+    for key in ("a", "b", "a", "c"):
+        sweep_jobs.enrol(tmp_path, key, ["seed=1", "name='x, y'"])
+    assert [(member.folder, member.key) for member in sweep_jobs.read(tmp_path)] == [
+        ("0", "a"), ("1", "b"), ("2", "c"),
+    ]  # fmt: skip
+    sweep_jobs.update(tmp_path, "b", state="failed", problem='got 3, "expected" 2')
+    assert sweep_jobs.read(tmp_path)[1].problem == 'got 3, "expected" 2'
+    assert shlex.split(sweep_jobs.read(tmp_path)[0].overrides) == ["seed=1", "name='x, y'"]
+    assert states(tmp_path) == ["missing", "failed", "missing"]
+
+
+def test_members_enrol_at_once(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda number: sweep_jobs.enrol(tmp_path, str(number % 10), []), range(40)))
+    assert sorted(int(member.folder) for member in sweep_jobs.read(tmp_path)) == list(range(10))
+
+
+def test_a_killed_member_counts_as_stopped(tmp_path: Path) -> None:
+    member = sweep_jobs.enrol(tmp_path, "a", [])
+    sweep_jobs.update(tmp_path, "a", state="running")
+    with locked(tmp_path, sweep_jobs.lock_of(member)):
+        assert states(tmp_path) == ["running"]
+    assert states(tmp_path) == ["stopped"]
+
+
+def test_a_folder_that_is_no_sweep_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="holds no members.csv"):
+        sweep_jobs.read(tmp_path)
+    head = ",".join(sweep_jobs.Member._fields)
+    for text, told in (
+        (b"folder,key\n0,a\n", "its columns are not folder,key,state"),
+        (f"{head}\n0,a,done\n".encode(), "line 2 does not fit the header"),
+        (f"{head}\n../../x,a,running,,,\n".encode(), "got the folder '../../x', expected a number"),
+        (b"\xff\xfe", "can't decode"),
+    ):
+        (tmp_path / sweep_jobs.FILE).write_bytes(text)
+        with pytest.raises(UserError, match=rf"members.csv: cannot be read .*{told}"):
+            sweep_jobs.read(tmp_path)
+
+
+def test_a_key_is_of_what_is_computed() -> None:
+    key = key_of(compose("train", JOB))
+    assert key == key_of(compose("train", [*JOB, "paths.outputs=elsewhere", "sweep_dir=old"]))
+    assert key == key_of(compose("train", [*JOB, "+sweep=dilation"]))
+    assert key == key_of(compose("train", [*JOB, "cache.max_gigabytes=5"]))
+    for change in ("seed=1", "kernels.imaginable=1.2", "mapping/registration=mean", "trainer.max_epochs=3"):
+        assert key != key_of(compose("train", [*JOB, change]))
+    trained = key_of(compose("train", JOB), sweep_jobs.EVALUATION_ONLY)
+    for change in ("mapping/registration=mean", "scale.cell_widths=[1.0]", "evaluation.seed=3"):
+        assert trained == key_of(compose("train", [*JOB, change]), sweep_jobs.EVALUATION_ONLY)
+    for change in ("seed=1", "kernels.imaginable=1.2", "model=projected"):
+        assert trained != key_of(compose("train", [*JOB, change]), sweep_jobs.EVALUATION_ONLY)
+
+
+def test_a_checkpoint_is_known_by_its_place(tmp_path: Path) -> None:
+    (tmp_path / "latest").symlink_to("run")
+    keys = {key_of(compose("evaluate", [f"ckpt={tmp_path}/{name}/a.ckpt"])) for name in ("latest", "run")}
+    assert len(keys) == 1
+    assert key_of(compose("evaluate", [f"ckpt={tmp_path}/other/a.ckpt"])) not in keys
+
+
+@pytest.mark.parametrize("option", ["hydra/launcher/joblib", "hydra/sweeper/optuna"])
+def test_a_missing_extra_says_how_to_install_it(option: str) -> None:
+    from hydra.errors import MissingConfigException
+
+    told = explain(
+        MissingConfigException(f"In 'train': Could not find '{option}'\n\nAvailable options: basic")
+    )
+    assert told is not None and told.endswith(f"pip install 'imagination[{option.rpartition('/')[2]}]'")
+
+
+def test_a_failed_member_stops_no_other_and_is_tried_again(command: Command, tmp_path: Path) -> None:
+    job = ["-m", *JOB, "name=swept", "trainer.fast_dev_run=true", "scale.prefill_steps=3,8"]
+    done = command("train", *job)
+    assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
+    sweep = only(tmp_path / "outputs" / "swept" / "multirun_*")
+    assert states(sweep) == ["failed", "done"]
+    assert (sweep / "1" / "tables" / "mapping.csv").is_file()
+    assert "1 of 2 members done" in done.stderr
+    told = [line for line in done.stderr.splitlines() if "0 failed" in line]
+    assert len(told) == 1 and "prefill_steps: got 3" in told[0] and "scale.prefill_steps=3" in told[0]
+    assert not (tmp_path / "outputs" / "swept" / "latest").exists()
+    again = next(line for line in done.stderr.splitlines() if line.startswith("Run what is not done: "))
+    done = command("train", *shlex.split(again.partition("imagination.train ")[2]))
+    assert done.returncode == 1 and "Member 0:" in done.stderr and "Member 1:" not in done.stderr
+    assert [member.folder for member in sweep_jobs.read(sweep)] == ["0", "1"]
+
+
+def test_what_only_evaluation_reads_never_trains(command: Command, tmp_path: Path) -> None:
+    for choice in ("+sweep=cell_width", "+sweep=registration"):
+        done = command("train", *JOB, choice)
+        assert done.returncode == 2 and "imagination.evaluate -m" in done.stderr, done.stderr
+    assert not list(tmp_path.rglob("config.yaml"))
+
+
+@pytest.mark.parametrize("name", SWEEPS)
+def test_ready_made_sweeps_compose(name: str) -> None:
+    """Each value of each one; and what is swept is there to be swept."""
+    hydra = yaml.safe_load((ROOT / "conf" / "sweep" / f"{name}.yaml").read_text())["hydra"]
+    assert hydra["mode"] == "MULTIRUN"
+    keys = set()
+    for key, values in hydra["sweeper"]["params"].items():
+        choices = yaml.safe_load(f"[{values}]")
+        assert len(choices) > 1
+        for value in choices:
+            keys.add(key_of(compose("train", [*JOB, f"{key}={value}".replace(" ", "")])))
+        assert len(keys) >= len(choices)
+
+
+@pytest.mark.parametrize(
+    ("key", "choices"),
+    [
+        ("model.backbone", {"model/backbone=unet": "UNet", "model/backbone=fpn": "FPN"}),
+        ("model.unit", {"model=unit": "ImaginationUnit", "model=projected": "ProjectedUnit"}),
+        ("mapping.registration", {"mapping/registration=mean": "Mean", "mapping/registration=max": "Max"}),
+        ("model.encoder.name", {"model.encoder.name=resnet18": "resnet18", "model.encoder.name=a": "a"}),
+    ],
+)
+def test_tensorboard_tells_apart_what_is_built(key: str, choices: dict[str, str]) -> None:
+    shown = {choice: settings(compose("train", [*JOB, choice, "paths.run=."]))[key] for choice in choices}
+    assert shown == choices
+
+
+def swept(sweep: Path) -> list[dict[str, str]]:
+    """Overrides of each member, by key."""
+    lines = [shlex.split(member.overrides) for member in sweep_jobs.read(sweep)]
+    return [{key: value for key, _, value in (text.partition("=") for text in line)} for line in lines]
+
+
+def leaves(node: object, name: str = "") -> dict[str, object]:
+    if isinstance(node, dict):
+        return {
+            path: leaf for key, value in node.items() for path, leaf in leaves(value, f"{name}.{key}").items()
+        }
+    return {name: node}
+
+
+@pytest.mark.slow
+def test_six_runs_differ_only_in_what_was_swept(command: Command, tmp_path: Path) -> None:
+    """Three values of delta by two of w_alpha max, and TensorBoard's HParams tab shows them with their figures."""
+    values = ["kernels.imaginable=0.8,1.0,1.4", "model.loss.alpha_max=10.0,30.0"]
+    done = command("train", "-m", *JOB, *values, timeout=1800)
+    assert done.returncode == 0, done.stderr
+    sweep = only(tmp_path / "outputs" / "chair_unet" / "multirun_*")
+    assert states(sweep) == ["done"] * 6
+    assert all(0 <= float(member.score) <= 1 for member in sweep_jobs.read(sweep))
+    configs = [leaves(yaml.safe_load((sweep / str(n) / "config.yaml").read_text())) for n in range(6)]
+    differing = {key for key in configs[0] if len({str(config[key]) for config in configs}) > 1}
+    assert {key for key in differing if str(sweep.name) not in str(configs[0][key])} == {
+        ".kernels.imaginable", ".data.module.imaginable", ".model.loss.alpha_max", ".model.module.loss.alpha_max",
+        ".choices",
+    }  # fmt: skip
+    pairs = {(config[".kernels.imaginable"], config[".model.loss.alpha_max"]) for config in configs}
+    assert pairs == {(delta, alpha) for delta in (0.8, 1.0, 1.4) for alpha in (10.0, 30.0)}
+    assert {(line["kernels.imaginable"], line["model.loss.alpha_max"]) for line in swept(sweep)} == {
+        (str(delta), str(alpha)) for delta, alpha in pairs
+    }
+    shares = [line for line in done.stderr.splitlines() if line.startswith("Time: ")]
+    totals = [float(line.rpartition("total ")[2].split()[0]) for line in shares]
+    assert len(totals) == 6 and sum(totals) < 1.2 * max(totals) * 6 and totals[5] < 3 * totals[0]
+    groups = hparams_of(sweep)
+    assert {(g["kernels.imaginable"], g["model.loss.alpha_max"]) for g in groups} == pairs
+    assert all("test/iou" in g and "global/chair/imagination/3m" in g for g in groups)
+
+
+def hparams_of(logdir: Path) -> list[dict[str, float]]:
+    """Rows of TensorBoard's HParams tab: hyperparameters and figures of each run."""
+    from tensorboard.backend.event_processing.data_provider import MultiplexerDataProvider
+    from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
+    from tensorboard.context import RequestContext
+    from tensorboard.plugins.base_plugin import TBContext
+    from tensorboard.plugins.hparams import api_pb2, backend_context, get_experiment, list_session_groups
+
+    multiplexer = EventMultiplexer().AddRunsFromDirectory(str(logdir))
+    multiplexer.Reload()
+    provider = MultiplexerDataProvider(multiplexer, str(logdir))
+    context = backend_context.Context(TBContext(logdir=str(logdir), data_provider=provider))
+    request = RequestContext()
+    shown = get_experiment.Handler(request, context, "", api_pb2.GetExperimentRequest()).run()
+    asked = api_pb2.ListSessionGroupsRequest(
+        start_index=0,
+        slice_size=100,
+        allowed_statuses=[api_pb2.STATUS_SUCCESS, api_pb2.STATUS_UNKNOWN],
+        col_params=[api_pb2.ColParams(metric=metric.name) for metric in shown.metric_infos],
+    )
+    found = list_session_groups.Handler(request, context, "", asked).run()
+    return [
+        {name: value.number_value for name, value in group.hparams.items()}
+        | {value.name.tag: value.value for value in group.metric_values}
+        for group in found.session_groups
+    ]
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_goes_on_with_what_is_not_done(command: Command, tmp_path: Path) -> None:
+    """SIGKILL in the second member after its first checkpoint: it goes on from there and ends as if nothing was."""
+    job = ["-m", *JOB, "scale.rounds=6", "scale.eval_every=2", "seed=1,2,3"]
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert command("train", *job, f"sweep_dir={whole}", timeout=1200).returncode == 0
+    process = subprocess.Popen(
+        [sys.executable, "-m", "imagination.train", *job, f"sweep_dir={broken}"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    while not (broken / "1" / LAST).is_file():
+        assert process.poll() is None
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert states(broken) == ["done", "stopped", "missing"]
+    first = (broken / "0" / "tables" / "mapping.csv").stat().st_mtime_ns
+    done = command("train", *job, f"sweep_dir={broken}", timeout=1200)
+    assert done.returncode == 0, done.stderr
+    assert states(broken) == ["done"] * 3
+    assert (broken / "0" / "tables" / "mapping.csv").stat().st_mtime_ns == first
+    for number in range(3):
+        for table in ("mapping.csv", "runs.csv", "ego.csv"):
+            path = Path(str(number)) / "tables" / table
+            assert (whole / path).read_bytes() == (broken / path).read_bytes()
+    scores = [[member.score for member in sweep_jobs.read(sweep)] for sweep in (whole, broken)]
+    assert scores[0] == scores[1]
+
+
+@pytest.mark.slow
+def test_evaluations_are_swept_without_training(command: Command, tmp_path: Path) -> None:
+    assert command("train", *JOB, timeout=600).returncode == 0
+    checkpoint = tmp_path / "outputs" / "chair_unet" / "latest" / "checkpoints" / "best.ckpt"
+    before = checkpoint.stat().st_mtime_ns
+    for name, count in (("registration", 5), ("cell_width", 6)):
+        done = command("evaluate", f"ckpt={checkpoint}", f"+sweep={name}", f"sweep_dir={name}", timeout=600)
+        assert done.returncode == 0, done.stderr
+        assert states(tmp_path / name) == ["done"] * count
+        kept = yaml.safe_load((tmp_path / name / "0" / "config.yaml").read_text())["ckpt"]
+        assert (tmp_path / kept).samefile(
+            checkpoint
+        ) and "latest" not in kept  # which is another run tomorrow
+    assert checkpoint.stat().st_mtime_ns == before and "training rounds" not in done.stderr
+    tables = [(tmp_path / "cell_width" / str(n) / "tables" / "mapping.csv").read_text() for n in range(6)]
+    widths = [{line.split(",")[2] for line in table.splitlines()[1:]} for table in tables]
+    assert [{float(width) for width in some} for some in widths] == [{4.0}, {3.5}, {3.0}, {2.5}, {2.0}, {1.5}]
+
+
+@pytest.mark.slow
+def test_members_at_once_share_the_cache(command: Command, tmp_path: Path) -> None:
+    """Two processes in one cold cache: the same tables as one after the other, nothing half-written."""
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    job = ["-m", *JOB, "kernels.imaginable=0.8,1.4"]
+    done = command("train", *job, "sweep_dir=one", "paths.cache=cache_one", timeout=900)
+    assert done.returncode == 0, done.stderr
+    at_once = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+    done = command("train", *job, *at_once, "sweep_dir=two", "paths.cache=cache_two", timeout=900)
+    assert done.returncode == 0, done.stderr
+    assert states(tmp_path / "two") == ["done"] * 2
+    for number in "01":
+        tables = [tmp_path / sweep / number / "tables" / "runs.csv" for sweep in ("one", "two")]
+        assert tables[0].read_bytes() == tables[1].read_bytes()
+    entries = [{path.name for path in (tmp_path / f"cache_{sweep}").rglob("*.*")} for sweep in ("one", "two")]
+    assert entries[0] == entries[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["encoders", "backbones"])
+def test_every_part_that_a_sweep_names_trains(command: Command, tmp_path: Path, name: str) -> None:
+    done = command(
+        "train", *JOB, f"+sweep={name}", "trainer.fast_dev_run=true", "sweep_dir=swept", timeout=1200
+    )
+    assert done.returncode == 0, done.stderr
+    assert set(states(tmp_path / "swept")) == {"done"}
+
+
+@pytest.mark.slow
+def test_a_search_goes_on_where_it_was(command: Command, tmp_path: Path) -> None:
+    """Optuna: three trials, then the same search for four; those done before are not run again."""
+    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
+    job = [*JOB, "+hparams_search=optuna", "sweep_dir=search"]
+    done = command("train", *job, "hydra.sweeper.n_trials=3", timeout=1200)
+    assert done.returncode == 0, done.stderr
+    first = sweep_jobs.read(tmp_path / "search")
+    assert [member.state for member in first] == ["done"] * 3
+    assert len({line["scale.learning_rate"] for line in swept(tmp_path / "search")}) == 3
+    assert yaml.safe_load((tmp_path / "search" / "optimization_results.yaml").read_text())[
+        "best_value"
+    ] == max(float(member.score) for member in first)
+    done = command("train", *job, "hydra.sweeper.n_trials=4", timeout=1200)
+    assert done.returncode == 0, done.stderr
+    assert sweep_jobs.read(tmp_path / "search")[:3] == first
+    assert states(tmp_path / "search") == ["done"] * 4 and done.stderr.count("Run folder: ") == 1

@@ -1,0 +1,84 @@
+"""Worker processes: their results, errors and warnings come back; closing waits for nobody."""
+
+import logging
+import os
+import time
+import warnings
+from multiprocessing.connection import Connection
+from pathlib import Path
+from signal import SIGKILL
+
+import pytest
+
+from imagination.utils.errors import UserError, WorkerDiedError
+from imagination.views.observer import Observer
+from imagination.views.scene_workers import ScenePool
+from tests.data.test_datamodule import observer
+
+
+def warned(observer: Observer, scene: str, fails: bool) -> str:
+    logging.getLogger("imagination.somewhere").warning("%s is odd", scene)
+    logging.getLogger("imagination.somewhere").info("not worth telling")
+    warnings.warn(f"deprecated thing {fails}", stacklevel=1)  # each text is told once
+    if fails:
+        raise UserError(f"scene: got {scene}")
+    return scene.upper()
+
+
+def slow(observer: Observer, scene: str, started: Path) -> None:
+    started.touch()
+    time.sleep(600)
+
+
+def test_warnings_of_workers_reach_the_logs_of_the_main_process(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    pool = ScenePool(observer(tmp_path), 1)
+    try:
+        for fails in (False, True):
+            caplog.clear()
+            future = pool.submit(warned, "train_0", fails)
+            if fails:
+                with pytest.raises(UserError, match="got train_0"):
+                    future.result()
+            else:
+                assert future.result() == "TRAIN_0"
+            messages = [(record.name, record.levelname, record.getMessage()) for record in caplog.records]
+            assert messages[0] == ("imagination.somewhere", "WARNING", "train_0 is odd")
+            assert messages[1][0] == "py.warnings" and "deprecated thing" in messages[1][2]
+            assert len(messages) == 2
+    finally:
+        pool.close()
+
+
+def die_while_answering(observer: Observer, scene: str) -> bytes:
+    def half(connection: Connection, message: memoryview) -> None:
+        os.write(connection.fileno(), bytes(message)[: len(message) // 2])
+        os.kill(os.getpid(), SIGKILL)
+
+    Connection._send = half  # type: ignore[assignment, method-assign]
+    return bytes(1000)
+
+
+def test_a_worker_that_is_killed_while_it_answers_is_noticed(tmp_path: Path) -> None:
+    """As the kernel kills one for its memory: the rest of the answer never comes."""
+    pool = ScenePool(observer(tmp_path), workers=1)
+    try:
+        for _ in range(2):  # also what is asked for later
+            with pytest.raises(WorkerDiedError, match="scale.workers"):
+                pool.submit(die_while_answering, "one").result(timeout=60)
+    finally:
+        pool.close()
+
+
+def test_closing_waits_for_no_work(tmp_path: Path) -> None:
+    pool = ScenePool(observer(tmp_path), 1)
+    futures = [pool.submit(slow, "train_0", tmp_path / "started") for _ in range(3)]
+    while not (tmp_path / "started").exists():
+        time.sleep(0.05)
+    start = time.monotonic()
+    pool.close()
+    assert time.monotonic() - start < 5
+    assert not any(
+        future.done() and future.exception() is None for future in futures if not future.cancelled()
+    )
