@@ -13,7 +13,7 @@ from imagination.utils.diagnostics import Finding
 GROUP = "doctor"
 """Folder of a plugin's conf tree: each file's `_target_` is a function that yields findings."""
 MEMORY, DISK = 8.0, 5.0
-"""What the desk job takes, GB."""
+"""What the default job takes, GB."""
 
 
 def examine() -> Iterator[Finding]:
@@ -24,9 +24,9 @@ def examine() -> Iterator[Finding]:
         yield _package(package)
     yield _graphics()
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    yield Finding("cores", cores >= 2, f"{cores}{'' if cores >= 2 else '; the desk job is made for 2'}")
+    yield Finding("cores", cores >= 2, f"{cores}{'' if cores >= 2 else '; the default job is made for 2'}")
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-    yield Finding("memory", memory >= MEMORY, f"{memory:.0f} GB (the desk job takes about 5)")
+    yield Finding("memory", memory >= MEMORY, f"{memory:.0f} GB (the default job takes about 5)")
     free = shutil.disk_usage(Path.cwd()).free / 1e9
     yield Finding(
         "disk", free >= DISK, f"{free:.0f} GB free in {Path.cwd()} (outputs go here; set paths.outputs)"

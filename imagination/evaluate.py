@@ -15,11 +15,11 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from imagination.evaluation.checkpoint_config import check_homes, configured
+from imagination.evaluation.checkpoint_config import check_scenes, evaluation_config
 from imagination.runs.command import command
 from imagination.runs.folder import CONFIG, create_folder, now, within
 from imagination.runs.logging import logging_to
-from imagination.utils.atomic_io import remove_parts, write_errors_told, write_text
+from imagination.utils.atomic_io import remove_parts, write_errors_reported, write_text
 from imagination.utils.errors import UserError
 
 if TYPE_CHECKING:
@@ -38,12 +38,12 @@ def main(config: DictConfig) -> None:
         )
     from imagination.runs.checkpoint import Checkpoint  # with it comes torch, which --help does without
 
-    member = None if OmegaConf.is_missing(config.paths, "run") else Path(config.paths.run)
+    job = None if OmegaConf.is_missing(config.paths, "run") else Path(config.paths.run)
     paths = [config.ckpt] if isinstance(config.ckpt, str) else list(config.ckpt)
     checkpoints = [Checkpoint.read(path) for path in paths]
-    config = configured(checkpoints, list(HydraConfig.get().overrides.task))
+    config = evaluation_config(checkpoints, list(HydraConfig.get().overrides.task))
     protocol = instantiate(config.evaluation)  # refuses what is out of range before anything is written
-    folder = new_folder(config, member)
+    folder = new_folder(config, job)
     config.paths.run = str(folder)
     found = [str(within(Path(path))) for path in paths]  # `latest` will be another one tomorrow
     config.ckpt = found[0] if isinstance(config.ckpt, str) else found
@@ -64,7 +64,7 @@ def main(config: DictConfig) -> None:
 def evaluate(
     config: DictConfig, protocol: MappingProtocol, checkpoints: Sequence[Checkpoint], folder: Path
 ) -> None:
-    """Load the networks, look at the homes, write tables, figures and maps."""
+    """Load the networks, look at the scenes, write tables, figures and maps."""
     import torch
 
     from imagination.evaluation import run
@@ -73,11 +73,11 @@ def evaluate(
     from imagination.reporting.training_table import training_rows
 
     data = instantiate(config.data.module)
-    check_homes(checkpoints, data.observer.source)
+    check_scenes(checkpoints, data.observer.source)
     device = "cuda" if torch.cuda.is_available() else "cpu"
     networks: list[Any] = [checkpoint.model() for checkpoint in checkpoints]
     if config.ade20k:
-        observer, mirrored = data.observer, config.scale.mirrored_answers
+        observer, mirrored = data.observer, config.scale.tta_hflip
         networks.append(PublicHRNet.load(Path(config.ade20k), observer.categories, observer.camera, mirrored))
     try:
         evaluation = run.evaluate(protocol, data, [network.to(device) for network in networks], folder)
@@ -88,14 +88,14 @@ def evaluate(
     )
 
 
-def new_folder(config: DictConfig, member: Path | None) -> Path:
+def new_folder(config: DictConfig, job: Path | None) -> Path:
     """A folder for the results: outputs/<name>/evaluate_<date_time>, or that of a sweep's member."""
-    if member is None:
+    if job is None:
         return create_folder(Path(config.paths.outputs) / config.name, f"evaluate_{now()}")
-    with write_errors_told(member):
-        member.mkdir(parents=True, exist_ok=True)
-    remove_parts(member)  # of an evaluation that was killed
-    return member
+    with write_errors_reported(job):
+        job.mkdir(parents=True, exist_ok=True)
+    remove_parts(job)  # of an evaluation that was killed
+    return job
 
 
 if __name__ == "__main__":

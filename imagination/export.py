@@ -15,7 +15,7 @@ from imagination.utils.errors import UserError, check_choice, check_range
 log = logging.getLogger(__name__)
 
 CALIBRATION_VIEWS = 64
-"""Of training homes, that the ranges of int8 are taken from."""
+"""Of training scenes, that the ranges of int8 are taken from."""
 
 
 def validate(config: DictConfig) -> None:
@@ -44,7 +44,7 @@ def main(config: DictConfig) -> None:
     from imagination.deployment import export
     from imagination.deployment.load import load
     from imagination.deployment.torch_backend import CheckpointModule
-    from imagination.mapping.predictor import SideBySide
+    from imagination.mapping.predictor import UnitEnsemble
     from imagination.runs.checkpoint import Checkpoint  # with it comes torch, which --help does without
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")
@@ -53,7 +53,7 @@ def main(config: DictConfig) -> None:
     file = Path(config.file) if config.file else Path(paths[0]).with_suffix(SUFFIXES[config.format])
     if file.suffix != SUFFIXES[config.format]:
         raise UserError(f"file: got {file}, expected a name that ends in {SUFFIXES[config.format]}")
-    reference = SideBySide([CheckpointModule(Path(path), config.look_once) for path in paths])
+    reference = UnitEnsemble([CheckpointModule(Path(path), config.look_once) for path in paths])
     run = checkpoints[0].config.copy()  # the checkpoint's own stays as it is
     run.cache.folder = config.paths.cache
     run.unit_categories = [name for checkpoint in checkpoints for name in checkpoint.config.unit_categories]

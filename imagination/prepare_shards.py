@@ -19,7 +19,7 @@ from imagination.utils.progress import progress
 from imagination.views.observer import Observer
 
 if TYPE_CHECKING:  # torch takes seconds to import: --help does without
-    from imagination.data.shards.writer import Recipe
+    from imagination.data.shards.writer import ShardSpec
 
 log = logging.getLogger(__name__)
 
@@ -37,40 +37,40 @@ def main(config: DictConfig) -> None:
     observer: Observer = instantiate(config.data.observer)
     split = cast(Split, check_choice("split", config.split, SPLITS))
     sampler, group = instantiate(config.data.sampler), config.scale.update_interval
-    recipe = writer.Recipe(sampler, config.seed, config.views, group)
-    folder, homes = Path(config.shards), observer.source.scenes(split)[config.part :: config.parts]
+    recipe = writer.ShardSpec(sampler, config.seed, config.views, group)
+    folder, scenes = Path(config.shards), observer.source.scenes(split)[config.part :: config.parts]
     folder.mkdir(parents=True, exist_ok=True)
     log_file = folder / f"render_{config.part}_of_{config.parts}.log"
     workers = config.scale.workers
     with logging_to(log_file), writer.at_work(folder):
-        left = writer.unwritten(folder, observer, homes, recipe)
+        left = writer.unwritten(folder, observer, scenes, recipe)
         begin, failed = perf_counter(), []
-        with closing(writer.write_homes(observer, left, folder, recipe, workers)) as done:
-            for home, problem in progress(done, f"views of homes ({split})", len(left)):
+        with closing(writer.write_scenes(observer, left, folder, recipe, workers)) as done:
+            for scene, problem in progress(done, f"views of scenes ({split})", len(left)):
                 if problem:
-                    failed.append(home)
-                    log.error("%s is left out: %s", home, problem)
+                    failed.append(scene)
+                    log.error("%s is left out: %s", scene, problem)
         seconds = perf_counter() - begin
         about = writer.write_index(folder, observer, recipe)
         log_size(folder, about, recipe, len(left) - len(failed), seconds, workers)
         if failed:
             log.error(
-                "%d homes failed: %s; run this again to try them once more", len(failed), ", ".join(failed)
+                "%d scenes failed: %s; run this again to try them once more", len(failed), ", ".join(failed)
             )
         log.info("Train on them: python -m imagination.train data=shards data.shards=%s", folder)
 
 
 def log_size(
-    folder: Path, about: dict[str, Any], recipe: Recipe, written: int, seconds: float, workers: int
+    folder: Path, about: dict[str, Any], recipe: ShardSpec, written: int, seconds: float, workers: int
 ) -> None:
     """Log the size of a data set and, where scenes were written, the rate and what a million views would take."""
-    count, size = len(about["homes"]), sum(path.stat().st_size for path in folder.glob("chunk-*.bin"))
+    count, size = len(about["scenes"]), sum(path.stat().st_size for path in folder.glob("chunk-*.bin"))
     views = count * recipe.views
-    log.info("%s: %d homes, %d views, %.1f kB a view", folder, count, views, size / views / 1e3)
+    log.info("%s: %d scenes, %d views, %.1f kB a view", folder, count, views, size / views / 1e3)
     if written:
         rate = written * recipe.views / seconds
         log.info(
-            "%.0f views/s with %d processes, homes and truth included: a million views take %.1f hours and %.0f GB",
+            "%.0f views/s with %d processes, scenes and truth included: a million views take %.1f hours and %.0f GB",
             *(rate, max(1, workers), 1e6 / rate / 3600, size / views * 1e6 / 1e9),
         )
 

@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 
 from imagination.geometry.morphology import kernel_cells
 from imagination.ground_truth import visualization
-from imagination.reporting.scene_summary import Kernels, choose_looks, stack, summary
+from imagination.reporting.scene_summary import Kernels, choose_views, stack, summary
 from imagination.runs.command import command
 from imagination.runs.logging import logging_to
 from imagination.scenes.source import SPLITS, Split
@@ -53,20 +53,20 @@ def draw(config: DictConfig, observer: Observer, name: str, folder: Path) -> Non
             log.info(line)
         sizes = config.kernels.imaginable, config.kernels.neighbourhood
         kernels = Kernels(*(kernel_cells(size, observer.ego.resolution) for size in sizes))
-        looks = choose_looks(observer, name, config.poses, config.seed, kernels)
+        views = choose_views(observer, name, config.poses, config.seed, kernels)
         save_arrays(
             folder / "truth.npz", {**truth.to_arrays(), "categories": np.array(observer.categories.names)}
         )
-        save_arrays(folder / "views.npz", stack(looks))
-        save_figure(folder / "scene.png", visualization.draw_scene(scene, truth, observer.categories, looks))
+        save_arrays(folder / "views.npz", stack(views))
+        save_figure(folder / "scene.png", visualization.draw_scene(scene, truth, observer.categories, views))
         for category in observer.categories.names:
             save_figure(
                 folder / f"{category}.png",
                 visualization.draw_category(scene, truth, observer.categories, category),
             )
-        save_figure(folder / "views.png", visualization.draw_views(looks, observer.ego))
+        save_figure(folder / "views.png", visualization.draw_views(views, observer.ego))
         save_figure(
-            folder / "labels.png", visualization.draw_labels(looks, observer.ego, observer.categories)
+            folder / "labels.png", visualization.draw_labels(views, observer.ego, observer.categories)
         )
         log.info("Written: %s/ (truth.npz, views.npz and pictures)", folder)
 

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imagination.config.user_messages import mistakes_told
+from imagination.config.user_messages import user_errors_reported
 from imagination.utils.errors import UserError
 
 if TYPE_CHECKING:  # with it comes matplotlib, which --help does without
@@ -58,5 +58,5 @@ def read(folder: Path) -> Content:
 
 
 if __name__ == "__main__":
-    with mistakes_told():
+    with user_errors_reported():
         main(sys.argv[1:])

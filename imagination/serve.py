@@ -43,7 +43,7 @@ def serve(config: DictConfig) -> None:
     """Serve until interrupted, then save the map."""
     module = mapper_from_config.module_of(config)
     mapper_from_config.mapper_of(
-        config, module, RgbdCamera.of(module.description.camera)
+        config, module, RgbdCamera.of(module.spec.camera)
     )  # mistakes show before it listens
     server: Server = instantiate(config.server, _convert_="all")
     mappers: list[SemanticMapper] = []

@@ -1,8 +1,8 @@
-"""The paper's whole study in one command: `python -m imagination.study scale=desk`.
+"""The paper's whole study in one command: `python -m imagination.study scale=small`.
 
 Trains what the study compares, one run after the other, then evaluates them together. Arguments are overrides, as of
 imagination.train. Started again with the same arguments it goes on where it was: finished runs are left alone, an
-unfinished one is resumed, and the evaluation takes up the homes that are done. Runs of other commands count as well,
+unfinished one is resumed, and the evaluation takes up the scenes that are done. Runs of other commands count as well,
 if they were trained with the same resolved config.
 """
 
@@ -20,7 +20,7 @@ from omegaconf import DictConfig
 
 from imagination.config.overrides import top
 from imagination.config.validation import validate
-from imagination.evaluation.checkpoint_config import configured
+from imagination.evaluation.checkpoint_config import evaluation_config
 from imagination.runs.command import command
 from imagination.runs.finished_trainings import evaluated, newest, planned
 from imagination.runs.folder import BEST, LAST, create_folder, now
@@ -70,7 +70,7 @@ def check(experiments: Sequence[str], training: Sequence[str], evaluation: Seque
         config = planned(experiment, training)
         validate(config)
         networks.append(Checkpoint(Path(experiment), {KEY: ConfigInCheckpoint(config).description}))
-    asked = configured(networks, [f"ckpt={json.dumps(list(experiments))}", *evaluation])
+    asked = evaluation_config(networks, [f"ckpt={json.dumps(list(experiments))}", *evaluation])
     instantiate(asked.evaluation).available(NEEDS)
 
 

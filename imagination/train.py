@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 @command("train")
 def main(config: DictConfig) -> float | None:
-    """The command; a search maximises what it returns, the best egocentric IoU on validation homes."""
+    """The command; a search maximises what it returns, the best egocentric IoU on validation scenes."""
     with opened(config) as run:
         log.info("Run folder: %s\nWatch it: tensorboard --logdir %s", run.folder, run.folder.parent)
         trainer = train(run)
@@ -38,14 +38,14 @@ def main(config: DictConfig) -> float | None:
 
 
 def train(run: Run) -> Trainer:
-    """Build everything that the config names, fit, evaluate on homes that training never saw."""
+    """Build everything that the config names, fit, evaluate on scenes that training never saw."""
     model, data, trainer = build(run)
     try:
-        with stage("homes and truth"):
+        with stage("scenes and truth"):
             data.setup("fit")
         with stage("training"), gpu_memory(run.config):
             trainer.fit(model, datamodule=data, ckpt_path=run.checkpoint, weights_only=True)
-        with stage("homes and truth"):
+        with stage("scenes and truth"):
             data.setup("test")
         with stage("evaluation"):
             trainer.test(model, datamodule=data, ckpt_path=best(run), verbose=False, weights_only=True)
@@ -87,7 +87,7 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
 
 
 def best(run: Run) -> Path | None:
-    """The checkpoint to evaluate: the best one on validation homes; None, the weights in memory, if none was kept."""
+    """The checkpoint to evaluate: the best one on validation scenes; None, the weights in memory, if none was kept."""
     path = run.folder / BEST
     return path if path.is_file() else None
 

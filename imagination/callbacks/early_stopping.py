@@ -10,8 +10,8 @@ from imagination.utils.errors import check_range
 log = logging.getLogger(__name__)
 
 
-class UntilFlat(Callback):
-    """Ends training when the score is flat, after as many rounds as the learning rate's schedule has.
+class EarlyStopping(Callback):
+    """Ends training when the score is flat, after as many epochs as the learning rate's schedule has.
 
     Flat means that for `patience` validations in a row it was not above the best one by `margin`. Its state lies in
     checkpoints, so that a resumed run does the same.
@@ -20,19 +20,19 @@ class UntilFlat(Callback):
         monitor: the score, e.g. "val/iou"; more is better.
         patience: validations.
         margin: by which a score must be above the best one.
-        min_rounds: before which training does not end, as the learning rate still falls.
+        min_epochs: before which training does not end, as the learning rate still falls.
     """
 
-    def __init__(self, monitor: str, patience: int, margin: float, min_rounds: int) -> None:
+    def __init__(self, monitor: str, patience: int, min_delta: float, min_epochs: int) -> None:
         self.monitor = monitor
-        self.patience = int(check_range("until_flat.patience", patience, 1, 10_000, "validations"))
-        self.margin = check_range("until_flat.margin", margin, 0.0, 1.0)
-        self.min_rounds = int(check_range("until_flat.min_rounds", min_rounds, 1, 10**9, "rounds"))
+        self.patience = int(check_range("early_stopping.patience", patience, 1, 10_000, "validations"))
+        self.min_delta = check_range("early_stopping.margin", min_delta, 0.0, 1.0)
+        self.min_epochs = int(check_range("early_stopping.min_epochs", min_epochs, 1, 10**9, "epochs"))
         self._best, self._waited = float("-inf"), 0
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         score = float(trainer.callback_metrics[self.monitor])
-        if score > self._best + self.margin:
+        if score > self._best + self.min_delta:
             self._best, self._waited = score, 0
             return
         self._waited += 1
@@ -42,13 +42,13 @@ class UntilFlat(Callback):
         self._end_if_flat(trainer, trainer.current_epoch)  # a finished run that is resumed
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        if not self.flat or trainer.current_epoch < self.min_rounds:
+        if not self.flat or trainer.current_epoch < self.min_epochs:
             log.warning(
-                "Training ended after %d rounds, before %s was flat and %d rounds were done, those of its schedule; "
+                "Training ended after %d epochs, before %s was flat and %d epochs were done, those of its schedule; "
                 "raise trainer.max_epochs and go on with resume",
                 trainer.current_epoch,
                 self.monitor,
-                self.min_rounds,
+                self.min_epochs,
             )
 
     @property
@@ -56,8 +56,8 @@ class UntilFlat(Callback):
         """Whether the newest scores are not above the best one before them."""
         return self._waited >= self.patience
 
-    def _end_if_flat(self, trainer: Trainer, rounds: int) -> None:
-        trainer.should_stop = trainer.should_stop or (self.flat and rounds >= self.min_rounds)
+    def _end_if_flat(self, trainer: Trainer, epochs: int) -> None:
+        trainer.should_stop = trainer.should_stop or (self.flat and epochs >= self.min_epochs)
 
     def state_dict(self) -> dict[str, Any]:
         return {"best": self._best, "waited": self._waited, "flat": self.flat}

@@ -28,7 +28,7 @@ class MovableCheckpoint(ModelCheckpoint):
 
 
 class BestCheckpoint(MovableCheckpoint):
-    """Saves after rounds that were validated, and has the last one validated: its weights are the likeliest best."""
+    """Saves after epochs that were validated, and has the last one validated: its weights are the likeliest best."""
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if trainer.current_epoch + 1 == trainer.max_epochs:

@@ -8,8 +8,8 @@ from lightning import Callback, LightningModule, Trainer
 from imagination.utils.progress import bar
 
 
-class TrainingProgress(Callback):
-    """Shows how many of the rounds are done."""
+class ProgressBar(Callback):
+    """Shows how many of the epochs are done."""
 
     def __init__(self) -> None:
         self._open = ExitStack()
@@ -17,7 +17,7 @@ class TrainingProgress(Callback):
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         left = (trainer.max_epochs or 0) - trainer.current_epoch
-        self._advance = self._open.enter_context(bar("training rounds", left))
+        self._advance = self._open.enter_context(bar("training epochs", left))
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._advance()

@@ -15,7 +15,7 @@ from imagination.data.prefetch import ahead
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.models.losses import batch_counts
 from imagination.utils.errors import UserError, check_range
-from imagination.utils.process_group import rank, ranks
+from imagination.utils.process_group import global_rank, world_size
 from imagination.utils.progress import progress
 from imagination.views.collector import Collector, Views
 from imagination.views.random_streams import Stream
@@ -33,8 +33,8 @@ class ReplayBufferCallback(Callback):
         update_batches: batches trained on in a round.
         aggregation_factor: share of a batch from older views, the rest from the newest collection.
         prefill_steps: collection steps before the first round, a multiple of `update_interval`.
-        mirrored_share: of the views in batches, seen in a mirror.
-        collecting_rounds: rounds that collect; those after them train on what is there, and where the buffer does not
+        hflip_probability: of the views in batches, seen in a mirror.
+        collection_epochs: epochs that collect; those after them train on what is there, and where the buffer does not
             hold all of it, go through the same collections again.
     """
 
@@ -45,8 +45,8 @@ class ReplayBufferCallback(Callback):
         update_batches: int,
         aggregation_factor: float,
         prefill_steps: int,
-        mirrored_share: float,
-        collecting_rounds: int,
+        hflip_probability: float,
+        collection_epochs: int,
     ) -> None:
         self.buffer = ReplayBuffer(size, aggregation_factor)
         self.update_interval = int(
@@ -58,16 +58,16 @@ class ReplayBufferCallback(Callback):
                 f"prefill_steps: got {prefill_steps}, expected a multiple of update_interval = {self.update_interval}"
             )
         self.prefill = prefill_steps // self.update_interval
-        self.mirrored_share = check_range("mirrored_share", mirrored_share, 0.0, 1.0)
-        self.collecting_rounds = int(check_range("collecting_rounds", collecting_rounds, 1, 10**9, "rounds"))
+        self.hflip_probability = check_range("hflip_probability", hflip_probability, 0.0, 1.0)
+        self.collection_epochs = int(check_range("collection_epochs", collection_epochs, 1, 10**9, "epochs"))
         self._resident = 0  # collections that this process has inserted or passed over as too old
         self._started: dict[int, Callable[[], Views]] = {}
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
-        if ranks() > 1:  # each keeps its part
-            self.buffer = ReplayBuffer(self.buffer.size // ranks(), self.buffer.aggregation_factor)
-        share = data.batch_size // ranks()
+        if world_size() > 1:  # each keeps its part
+            self.buffer = ReplayBuffer(self.buffer.size // world_size(), self.buffer.aggregation_factor)
+        share = data.batch_size // world_size()
         check_range(
             MICRO_BATCH_KEYS[data.predicts],
             trainer.accumulate_grad_batches,
@@ -75,22 +75,22 @@ class ReplayBufferCallback(Callback):
             share,
             "parts of a process's batch",
         )
-        data.rounds = _Rounds(self, data, trainer)
+        data.epochs = _Rounds(self, data, trainer)
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
         collector = data.collector(self.update_interval)
-        every = self.prefill + self.collecting_rounds
+        every = self.prefill + self.collection_epochs
         all_held = every * collector.views_per_collection <= self.buffer.size
         newest = self.prefill + trainer.current_epoch
         newest = min(newest, every - 1) if all_held else newest
         begin = perf_counter()
         self._fill(data, collector, newest, 2 * max(1, data.workers))
-        if all_held and trainer.current_epoch >= self.collecting_rounds:
+        if all_held and trainer.current_epoch >= self.collection_epochs:
             self.buffer.settle()
         elif trainer.current_epoch + 1 < (trainer.max_epochs or 0) and not (all_held and newest + 1 == every):
             self._start(collector, newest + 1)  # renders while this round trains
-        collected = min(newest + 1, every) * collector.views_per_collection * ranks()
+        collected = min(newest + 1, every) * collector.views_per_collection * world_size()
         pl_module.log("data/collecting_seconds", perf_counter() - begin)
         pl_module.log("data/collected_views", float(collected))
         pl_module.log(
@@ -112,7 +112,7 @@ class ReplayBufferCallback(Callback):
 
     def _start(self, collector: Collector, index: int) -> None:
         if index not in self._started:
-            self._started[index] = collector.start(index % (self.prefill + self.collecting_rounds))
+            self._started[index] = collector.start(index % (self.prefill + self.collection_epochs))
 
 
 DRAWING_THREADS = 4
@@ -142,10 +142,10 @@ class _Rounds:
 
     def _batch(self, number: int) -> list[Batch]:
         """A batch of the current round, in the parts that it is trained in."""
-        share, place = self.data.batch_size // ranks(), number * ranks() + rank()
+        share, place = self.data.batch_size // world_size(), number * world_size() + global_rank()
         rng = np.random.default_rng([self.data.seed, Stream.BATCHES, self.trainer.current_epoch, place])
         views = self.callback.buffer.draw(share, rng)
-        which = rng.random(share) < self.callback.mirrored_share
+        which = rng.random(share) < self.callback.hflip_probability
         batch = self.data.assemble(mirrored(views, which))
         cut = parts(batch, self.trainer.accumulate_grad_batches)
         return [pinned(part) for part in cut] if self._on_gpu else list(cut)

@@ -3,7 +3,7 @@
 from lightning import Callback, LightningModule, Trainer, seed_everything
 
 
-class SeedEachRound(Callback):
+class SeedPerEpoch(Callback):
     """Seeds all generators at the start of each round from the seed and the round, so that no state has to be saved.
 
     Args:

@@ -13,15 +13,15 @@ from imagination.evaluation.prediction import Segmenter
 from imagination.utils.errors import check_range
 
 
-class SegmentationPictures(Callback):
-    """Draws views of validation homes, one row each: RGB, true segmentation, predicted segmentation.
+class SegmentationImages(Callback):
+    """Draws views of validation scenes, one row each: RGB, true segmentation, predicted segmentation.
 
     Args:
         views: drawn at each validation, spread over its first batch.
     """
 
     def __init__(self, views: int) -> None:
-        self.views = int(check_range("segmentation_pictures.views", views, 1, 64))
+        self.views = int(check_range("segmentation_images.views", views, 1, 64))
 
     def on_validation_batch_end(
         self,

@@ -1,4 +1,4 @@
-"""What a checkpoint's weights took: rounds, samples, views and minutes."""
+"""What a checkpoint's weights took: epochs, samples, views and minutes."""
 
 from time import monotonic, perf_counter
 from typing import Any
@@ -8,10 +8,10 @@ from lightning import Callback, LightningModule, Trainer
 
 from imagination.callbacks.unit_images import last_step
 from imagination.data.collate import Batch
-from imagination.utils.process_group import ranks
+from imagination.utils.process_group import world_size
 
 
-class TrainingRecord(Callback):
+class TrainingStats(Callback):
     """Counts over all resumptions of a run; the counts lie in its checkpoints and go into an evaluation's tables.
 
     Logs how fast training is, drawing batches included; which share of a round waits for its collection or lies between
@@ -19,7 +19,7 @@ class TrainingRecord(Callback):
     """
 
     def __init__(self) -> None:
-        self._counts = {"rounds": 0, "samples": 0, "views": 0, "seconds": 0.0, "best": 0.0}
+        self._counts = {"epochs": 0, "samples": 0, "views": 0, "seconds": 0.0, "best": 0.0}
         self._since = monotonic()
         self._batch_begin = self._batch_end = 0.0
         self._between = self._round = 0.0  # seconds of the round so far: between steps, and in all
@@ -41,7 +41,7 @@ class TrainingRecord(Callback):
     ) -> None:
         if pl_module.device.type == "cuda":  # which is still computing
             torch.cuda.synchronize()
-        samples, now = len(batch["rgb"]) * ranks(), perf_counter()
+        samples, now = len(batch["rgb"]) * world_size(), perf_counter()
         self._counts["samples"] += samples
         pl_module.log("train/samples_per_second", samples / (now - self._batch_end))
         self._between += self._batch_begin - self._batch_end
@@ -55,7 +55,7 @@ class TrainingRecord(Callback):
         self._counts["best"] = max(self._counts["best"], float(trainer.callback_metrics["val/iou"]))
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self._counts["rounds"] = trainer.current_epoch + 1
+        self._counts["epochs"] = trainer.current_epoch + 1
         self._counts["views"] = int(trainer.callback_metrics["data/collected_views"])
         collecting = float(trainer.callback_metrics["data/collecting_seconds"])
         pl_module.log("train/waiting", (collecting + self._between) / (collecting + self._round))

@@ -25,8 +25,8 @@ MAX_DEPTH = 6.0
 """Metres that are drawn brightest."""
 
 
-class Pictures(Callback):
-    """Draws views of validation homes, one row each: RGB, depth, egocentric occupancy, and for each category label,
+class UnitImages(Callback):
+    """Draws views of validation scenes, one row each: RGB, depth, egocentric occupancy, and for each category label,
     prediction and valid imagination.
 
     Args:

@@ -45,8 +45,8 @@ def check_targets(config: DictConfig) -> None:
             ) from error
         # a class, or the class of a method that makes one; where it is defined counts, not the path that leads to it
         kind = made if inspect.isclass(made) else getattr(made, "__self__", None)
-        home = kind.__module__ if inspect.isclass(kind) else ""
-        if not any(home == prefix or home.startswith(f"{prefix}.") for prefix in allowed):
+        scene = kind.__module__ if inspect.isclass(kind) else ""
+        if not any(scene == prefix or scene.startswith(f"{prefix}.") for prefix in allowed):
             raise UserError(
                 f"_target_: got {target!r}, expected a class defined in {', '.join(sorted(allowed))}; "
                 "if you trust it, start a new run with it"

@@ -14,7 +14,7 @@ EXTRAS: Mapping[str, str] = {"hydra/launcher/joblib": "joblib", "hydra/sweeper/o
 
 
 @contextmanager
-def mistakes_told() -> Iterator[None]:
+def user_errors_reported() -> Iterator[None]:
     """End the program with one message and exit code 2 on an error that is the user's to mend.
 
     Both around a task and around Hydra, which would announce the task's errors in its own way.

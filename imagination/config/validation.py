@@ -25,15 +25,13 @@ def validate(config: DictConfig) -> None:
     for key in ("scale.precision", "trainer.precision", "evaluation.precision"):
         if OmegaConf.select(config, key.partition(".")[0]) is not None:
             check_choice(key, OmegaConf.select(config, key), PRECISIONS)
-    if not isinstance(config.scale.mirrored_answers, bool):
+    if not isinstance(config.scale.tta_hflip, bool):
+        raise UserError(f"scale.tta_hflip: got {config.scale.tta_hflip!r}, expected true or false")
+    epochs = [config.scale[name] for name in ("epochs", "hrnet_epochs", "hrnet_max_epochs")]
+    if OmegaConf.select(config, "model.predicts") == "images" and epochs != sorted(epochs):
         raise UserError(
-            f"scale.mirrored_answers: got {config.scale.mirrored_answers!r}, expected true or false"
-        )
-    rounds = [config.scale[name] for name in ("rounds", "hrnet_rounds", "hrnet_most_rounds")]
-    if OmegaConf.select(config, "model.predicts") == "images" and rounds != sorted(rounds):
-        raise UserError(
-            f"scale.hrnet_rounds: got {rounds[1]}, expected scale.rounds, {rounds[0]}, to scale.hrnet_most_rounds, "
-            f"{rounds[2]}: a baseline trains as long as the units"
+            f"scale.hrnet_epochs: got {epochs[1]}, expected scale.epochs, {epochs[0]}, to scale.hrnet_max_epochs, "
+            f"{epochs[2]}: a baseline trains as long as the units"
         )
     widths = config.scale.cell_widths
     if not isinstance(widths, ListConfig) or not widths:

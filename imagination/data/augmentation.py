@@ -10,7 +10,7 @@ def mirrored(views: Views, which: Bool[np.ndarray, " n"]) -> Views:
     """Some of the views with left and right exchanged, in images and maps alike; the others as they are.
 
     The camera's axis is the image's middle, and the robot's column that of the egocentric grid. Poses are left out: a
-    mirrored home has other ones.
+    mirrored scene has other ones.
 
     Args:
         views: stacked views.

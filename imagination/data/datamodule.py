@@ -11,9 +11,9 @@ from torch.utils.data import DataLoader
 from imagination.data.collate import FIELDS, Batch, assemble, assemble_images
 from imagination.geometry.morphology import kernel_cells
 from imagination.scenes.source import Split
-from imagination.utils.cache import plain
+from imagination.utils.cache import as_plain
 from imagination.utils.errors import UserError, check_choice, check_range
-from imagination.utils.process_group import begun_elsewhere, rank, ranks
+from imagination.utils.process_group import global_rank, rotated_by_rank, world_size
 from imagination.utils.progress import progress
 from imagination.views.collector import Collector, PoseSampler, Views, concatenate, look
 from imagination.views.observer import Observer
@@ -22,22 +22,22 @@ from imagination.views.scene_workers import ScenePool
 
 
 class SceneData(LightningDataModule):
-    """Views of a scene source's homes, as batches.
+    """Views of a scene source's scenes, as batches.
 
-    Training batches come from the replay-buffer callback, which puts them into `rounds`; those of validation and test
+    Training batches come from the replay-buffer callback, which puts them into `epochs`; those of validation and test
     are the same fixed views in each run, whatever its seed.
 
     Args:
         observer: what a view looks like.
         unit_categories: names of the categories that the unit imagines.
         sampler: draws training poses in a scene.
-        held_out_sampler: draws the poses of validation and test views.
+        eval_sampler: draws the poses of validation and test views.
         imaginable: kernel delta, metres.
         neighbourhood: kernel epsilon, metres.
         seed: of the run.
         parallel_scenes: scenes looked at in one collection.
         batch_size: views in a batch, of all processes that train together; in validation and test up to twice as many.
-        held_out_views: number of views for validation and test.
+        eval_views: number of views for validation and test.
         workers: processes that render; 0 renders in the main process.
         predicts: what batches are for: networks of egocentric "maps", or of first-person "images".
 
@@ -50,13 +50,13 @@ class SceneData(LightningDataModule):
         observer: Observer,
         unit_categories: Sequence[str],
         sampler: PoseSampler,
-        held_out_sampler: PoseSampler,
+        eval_sampler: PoseSampler,
         imaginable: float,
         neighbourhood: float,
         seed: int,
         parallel_scenes: int,
         batch_size: int,
-        held_out_views: Mapping[Split, int],
+        eval_views: Mapping[Split, int],
         workers: int,
         predicts: str = "maps",
     ) -> None:
@@ -65,15 +65,15 @@ class SceneData(LightningDataModule):
         self.predicts = check_choice("model.predicts", predicts, FIELDS)
         self.unit_categories = list(unit_categories)
         self.layers = [observer.categories.index(name) - 1 for name in unit_categories]
-        self.sampler, self.held_out_sampler = sampler, held_out_sampler
+        self.sampler, self.eval_sampler = sampler, eval_sampler
         self.imaginable = kernel_cells(imaginable, observer.ego.resolution)
         self.neighbourhood = kernel_cells(neighbourhood, observer.ego.resolution)
         self.seed = seed
         self.parallel_scenes = parallel_scenes
         self.batch_size = int(check_range("batch_size", batch_size, 1, 100_000, "views"))
-        self.held_out_views = dict(held_out_views)
+        self.eval_views = dict(eval_views)
         self.workers = workers
-        self.rounds: Iterable[Batch] | None = None
+        self.epochs: Iterable[Batch] | None = None
         self._pool: ScenePool | None = None
         self._surveyed: set[Split] = set()
         self._held_out: dict[Split, Views] = {}
@@ -97,21 +97,21 @@ class SceneData(LightningDataModule):
             self.survey(split)
 
     def survey(self, split: Split) -> None:
-        """Build the homes of a split and their ground truth, in parallel.
+        """Build the scenes of a split and their ground truth, in parallel.
 
         Raises:
-            UserError: if no home of the split contains one of the unit's categories.
+            UserError: if no scene of the split contains one of the unit's categories.
         """
         if split in self._surveyed:
             return
-        names = begun_elsewhere(self.observer.source.scenes(split))
-        tasks = [self.pool.submit(count_truth, name) for name in names]
-        counts = np.array([task.result() for task in progress(tasks, f"homes and ground truth ({split})")])
+        names = rotated_by_rank(self.observer.source.scenes(split))
+        tasks = [self.pool.submit(count_ground_truth, name) for name in names]
+        counts = np.array([task.result() for task in progress(tasks, f"scenes and ground truth ({split})")])
         for name, layer in zip(self.unit_categories, self.layers, strict=True):
             if not counts[:, layer].any():
                 raise UserError(
-                    f"category {name!r}: none of the {len(names)} homes of the split {split!r} contains one; "
-                    "choose another category or scene source, or more homes"
+                    f"category {name!r}: none of the {len(names)} scenes of the split {split!r} contains one; "
+                    "choose another category or scene source, or more scenes"
                 )
         self._surveyed.add(split)
 
@@ -120,9 +120,11 @@ class SceneData(LightningDataModule):
 
         Of several processes that train together, each has scenes of its own and its part of the parallel ones.
         """
-        scenes = self.observer.source.scenes("train")[rank() :: ranks()]
-        share = self.parallel_scenes // ranks()
-        return Collector(self.pool, scenes, self.sampler, self.seed, share, steps, first_slot=rank() * share)
+        scenes = self.observer.source.scenes("train")[global_rank() :: world_size()]
+        share = self.parallel_scenes // world_size()
+        return Collector(
+            self.pool, scenes, self.sampler, self.seed, share, steps, first_slot=global_rank() * share
+        )
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -136,21 +138,21 @@ class SceneData(LightningDataModule):
         return assemble(views, self.layers, self.imaginable, self.neighbourhood)
 
     def train_dataloader(self) -> Iterable[Batch]:
-        if self.rounds is None:
+        if self.epochs is None:
             raise UserError(
                 "training: got no replay buffer; add callbacks.replay_buffer, which collects the views"
             )
-        return self.rounds
+        return self.epochs
 
     @cached_property
     def trained_homes(self) -> dict[str, str]:
-        """Names and fingerprints of the homes of training."""
+        """Names and fingerprints of the scenes of training."""
         source = self.observer.source
-        return {home: source.fingerprint(home) for home in source.scenes("train")}
+        return {scene: source.fingerprint(scene) for scene in source.scenes("train")}
 
     def state_dict(self) -> dict[str, Any]:
-        """Part of checkpoints: an evaluation must not look into homes of training."""
-        return {"homes": self.trained_homes}
+        """Part of checkpoints: an evaluation must not look into scenes of training."""
+        return {"scenes": self.trained_homes}
 
     def val_dataloader(self) -> DataLoader[Batch]:
         return self._batches_of("val")
@@ -165,36 +167,36 @@ class SceneData(LightningDataModule):
         count = max(len(views["pose"]) // self.batch_size, 1)  # so that none is smaller than in training
         parts = {name: np.array_split(values, count) for name, values in views.items()}
         batches = [  # of each batch, processes that train together take every so manieth view, none twice
-            self.assemble({name: part[place][rank() :: ranks()] for name, part in parts.items()})
+            self.assemble({name: part[place][global_rank() :: world_size()] for name, part in parts.items()})
             for place in range(count)
         ]
         return DataLoader(batches, batch_size=None)  # type: ignore[arg-type]  # a list is a map-style data set
 
     def _look_at(self, split: Split) -> Views:
-        """The fixed views of a split, spread evenly over its homes."""
+        """The fixed views of a split, spread evenly over its scenes."""
         names = self.observer.source.scenes(split)
-        share, rest = divmod(self.held_out_views[split], len(names))
+        share, rest = divmod(self.eval_views[split], len(names))
         tasks = [
-            self.pool.submit(held_out_views, name, self.held_out_sampler, place, share + (place < rest))
+            self.pool.submit(eval_views, name, self.eval_sampler, place, share + (place < rest))
             for place, name in enumerate(names)
             if share + (place < rest)
         ]
-        return concatenate([task.result() for task in progress(tasks, f"views of unseen homes ({split})")])
+        return concatenate([task.result() for task in progress(tasks, f"views of unseen scenes ({split})")])
 
 
-def count_truth(observer: Observer, scene: str) -> list[int]:
+def count_ground_truth(observer: Observer, scene: str) -> list[int]:
     """Cells of ground truth of each category in a scene, which builds or loads its maps."""
     truth: list[int] = observer.truth(scene).truth.sum(axis=(1, 2)).tolist()
     return truth
 
 
-def held_out_views(observer: Observer, scene: str, sampler: PoseSampler, place: int, count: int) -> Views:
+def eval_views(observer: Observer, scene: str, sampler: PoseSampler, place: int, count: int) -> Views:
     """Views of a scene that are the same in every run, from the cache where they are kept."""
     key: dict[str, Any] = {
         "view": observer.view_key(scene),
-        "sampler": plain(sampler),
+        "sampler": as_plain(sampler),
         "place": place,
         "count": count,
     }
-    seed = (0, Stream.HELD_OUT_VIEWS, place)
+    seed = (0, Stream.EVAL_VIEWS, place)
     return observer.cache.get_or_build("views", key, lambda: look(observer, scene, sampler, seed, count))

@@ -19,9 +19,9 @@ from imagination.evaluation.metrics import count, iou
 from imagination.geometry.morphology import kernel_cells
 from imagination.ground_truth.targets import label
 from imagination.mapping.predictor import (
-    Description,
     ImaginationModule,
     Observation,
+    UnitSpec,
     joined,
     valid_imagination,
 )
@@ -102,8 +102,8 @@ def export(
             together, or the disk is full.
     """
     units, descriptions = zip(*map(TrainedUnit.of, checkpoints), strict=True)
-    module, description = Probabilities(list(units), look_once), reduce(joined, descriptions)
-    text = description.to_json(precision=precision, normalisation=normalisation(module), look_once=look_once)
+    module, spec = Probabilities(list(units), look_once), reduce(joined, descriptions)
+    text = spec.to_json(precision=precision, normalisation=normalisation(module), look_once=look_once)
     example = inputs(calibration[0].observation)
     with torch.no_grad(), warnings.catch_warnings():  # torch's own, about its exporter
         warnings.simplefilter("ignore")
@@ -178,17 +178,17 @@ def quantised(model: Any, scratch: Path, calibration: Sequence[Sample]) -> Any:
 
 
 def sample_views(config: DictConfig, split: Split, count: int) -> list[Sample]:
-    """Views of homes of a split, as the checkpoint's run looked at them, a few a home."""
+    """Views of scenes of a split, as the checkpoint's run looked at them, a few a scene."""
     observer: Observer = instantiate(config.data.observer)
     layers = [observer.categories.index(name) - 1 for name in config.unit_categories]
     kernel = kernel_cells(config.kernels.imaginable, observer.ego.resolution)
     rng = np.random.default_rng(0)
-    homes = observer.source.scenes(split)[: max(2, count // 8)]
+    scenes = observer.source.scenes(split)[: max(2, count // 8)]
     samples = []
-    for number, home in enumerate(homes):
-        share = len(range(number, count, len(homes)))
-        for pose in sample_poses(observer.scene(home).free_space, share, rng):
-            view = observer.observe(home, pose, rng)
+    for number, scene in enumerate(scenes):
+        share = len(range(number, count, len(scenes)))
+        for pose in sample_poses(observer.scene(scene).free_space, share, rng):
+            view = observer.observe(scene, pose, rng)
             seen = Observation(view.rgb, view.depth, view.occupied, view.seen, observer.camera.mount_height)
             samples.append(Sample(seen, label(view.object[layers], view.seen[None], kernel)))
     return samples
@@ -196,7 +196,7 @@ def sample_views(config: DictConfig, split: Split, count: int) -> list[Sample]:
 
 def compare(module: ImaginationModule, reference: ImaginationModule, samples: Sequence[Sample]) -> Check:
     """Ask two modules about the same views."""
-    known, difference = module.description, 0.0
+    known, difference = module.spec, 0.0
     counts = np.zeros((2, len(known.categories), 3), np.int64)
     for sample in samples:
         answers = [each(sample.observation) for each in (module, reference)]
@@ -217,7 +217,7 @@ def compare(module: ImaginationModule, reference: ImaginationModule, samples: Se
 
 
 def egocentric_map(
-    probabilities: Float32[np.ndarray, "c v v"], seen: Bool[np.ndarray, "v v"], known: Description
+    probabilities: Float32[np.ndarray, "c v v"], seen: Bool[np.ndarray, "v v"], known: UnitSpec
 ) -> Bool[np.ndarray, "c v v"]:
     """The objects of an answer, as training scores them: V_valid from the categories' thresholds on."""
     said = valid_imagination(

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imagination.mapping.predictor import ImaginationModule, Observation, SideBySide
+from imagination.mapping.predictor import ImaginationModule, Observation, UnitEnsemble
 from imagination.utils.errors import UserError
 
 
@@ -23,7 +23,7 @@ def load(units: str | Path | Sequence[str | Path]) -> ImaginationModule:
     if not paths:
         raise UserError("unit: got no file, expected at least one .onnx, .pt2 or .ckpt")
     modules = [_load(Path(path)) for path in paths]
-    return modules[0] if len(modules) == 1 else SideBySide(modules)
+    return modules[0] if len(modules) == 1 else UnitEnsemble(modules)
 
 
 def _load(path: Path) -> ImaginationModule:
@@ -45,7 +45,7 @@ def _answering(module: ImaginationModule, path: Path) -> ImaginationModule:
     Raises:
         UserError: if it cannot, or answers something else than a map of each category.
     """
-    told, cells = module.description, module.description.ego.cells
+    told, cells = module.spec, module.spec.ego.cells
     size = told.camera.height, told.camera.width
     nothing = np.zeros((cells, cells), np.bool_)
     blank = np.zeros((*size, 3), np.uint8), np.zeros(size, np.float32), nothing, nothing

@@ -57,7 +57,7 @@ def mapper_of(
             x, y = map(float, config.centre)
         except (TypeError, ValueError) as error:
             raise UserError(f"centre: got {config.centre}, expected [x, y] in metres") from error
-        grid = Grid.centred(config.extent, module.description.ego.resolution, (x, y))
+        grid = Grid.centred(config.extent, module.spec.ego.resolution, (x, y))
     return SemanticMapper(
         module,
         camera,

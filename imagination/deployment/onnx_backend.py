@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from imagination.mapping.predictor import Description, Observation
+from imagination.mapping.predictor import Observation, UnitSpec
 from imagination.utils.errors import UserError, require_extra
 
 KEY = "imagination"
@@ -43,7 +43,7 @@ class OnnxModule:
             raise UserError(f"{path}: cannot be read as ONNX ({error}); export it again") from error
         if KEY not in metadata:
             raise UserError(f"{path}: was not written by imagination.export")
-        self.description = Description.from_json(metadata[KEY], str(path))
+        self.spec = UnitSpec.from_json(metadata[KEY], str(path))
 
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
         feed = {name: array for name, array in arrays(observation).items() if name in self._inputs}

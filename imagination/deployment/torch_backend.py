@@ -19,8 +19,8 @@ from imagination.deployment.onnx_backend import arrays
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.projection import Band
-from imagination.mapping.predictor import Description, Observation
-from imagination.models.depth_hits import Returns
+from imagination.mapping.predictor import Observation, UnitSpec
+from imagination.models.depth_hits import DepthHits
 from imagination.models.ego_metrics import THRESHOLDS
 from imagination.models.unit import Unit
 from imagination.runs.checkpoint import Checkpoint
@@ -48,9 +48,9 @@ class Probabilities(nn.Module):
         self.units = nn.ModuleList(units).eval()
         for part in self.units.modules():
             if isinstance(part, Unit) and look_once:
-                part.mirrored_answers = False
+                part.tta_hflip = False
         self.heights = [
-            f"{name}.mount_height" for name, part in self.units.named_modules() if isinstance(part, Returns)
+            f"{name}.mount_height" for name, part in self.units.named_modules() if isinstance(part, DepthHits)
         ]
 
     def forward(
@@ -76,7 +76,7 @@ class TrainedUnit(NamedTuple):
     """What a checkpoint holds for a robot."""
 
     unit: Unit
-    description: Description
+    spec: UnitSpec
 
     @classmethod
     def of(cls, checkpoint: Checkpoint) -> "TrainedUnit":
@@ -112,7 +112,7 @@ class CheckpointModule:
 
     def __init__(self, path: Path, look_once: bool = False) -> None:
         trained = TrainedUnit.of(Checkpoint.read(path))
-        self.description = trained.description
+        self.spec = trained.spec
         self._run = Probabilities([trained.unit], look_once)
 
     @torch.inference_mode()
@@ -139,7 +139,7 @@ class ExportedModule:
             ) from error
         if not extra[ENTRY]:
             raise UserError(f"{path}: was not written by imagination.export")
-        self.description = Description.from_json(extra[ENTRY], str(path))
+        self.spec = UnitSpec.from_json(extra[ENTRY], str(path))
 
     @torch.inference_mode()
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
@@ -167,7 +167,7 @@ def _safely() -> Iterator[None]:
         os.environ |= {name: value for name, value in variables.items() if value is not None}
 
 
-def describe(config: DictConfig, chosen_thresholds: Sequence[float]) -> Description:
+def describe(config: DictConfig, chosen_thresholds: Sequence[float]) -> UnitSpec:
     """What a run's config says of its unit, with the thresholds that its validation chose."""
     from hydra.utils import instantiate
 
@@ -178,7 +178,7 @@ def describe(config: DictConfig, chosen_thresholds: Sequence[float]) -> Descript
     colours = tuple(tuple(config.categories[name].colour) for name in names)
     thresholds = tuple(round(value, 6) for value in chosen_thresholds)  # float32 makes .95 a little more
     mapping = config.mapping.valid_threshold, config.mapping.valid_kernel
-    return Description(names, colours, thresholds, camera, ego, Band(*map(float, obstacles)), *mapping)
+    return UnitSpec(names, colours, thresholds, camera, ego, Band(*map(float, obstacles)), *mapping)
 
 
 def inputs(observation: Observation) -> tuple[Tensor, ...]:

@@ -12,8 +12,8 @@ from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import close, dilate, kernel_cells
 from imagination.geometry.projection import Band, project_categories
 from imagination.ground_truth.targets import imaginable_mask
-from imagination.mapping.predictor import Statement, valid_imagination
-from imagination.mapping.update_rules import Rule
+from imagination.mapping.predictor import ViewEvidence, valid_imagination
+from imagination.mapping.update_rules import UpdateRule
 from imagination.utils.errors import check_choice, check_range
 from imagination.views.collector import Views
 
@@ -22,12 +22,12 @@ Predictions = dict[str, np.ndarray]
 
 NEEDS = {
     "maps": "a unit's checkpoint",
-    "plain_maps": "a unit's checkpoint",
+    "raw_maps": "a unit's checkpoint",
     "maps_of_shuffled_rgb": "a unit's checkpoint",
     "images": "a checkpoint of a segmentation network, or the folder of public weights (ade20k=FOLDER)",
 }
 """What an approach may need of networks, and where it comes from: maps, float32 [n, c, v, v], are the probabilities of
-the evaluated categories; plain_maps are the same before units averaged and dilated them, maps_of_shuffled_rgb those of
+the evaluated categories; raw_maps are the same before units averaged and dilated them, maps_of_shuffled_rgb those of
 views each of which had the colours of another one; images, uint8 [n, h, w], are first-person segmentations, 0 for none,
 else the category's row + 1."""
 
@@ -64,7 +64,7 @@ class Evidence(Protocol):
     def needs(self) -> str | None:
         """What it needs of networks, one of `NEEDS`; None if nothing."""
 
-    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
+    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> ViewEvidence:
         """What `views` say, given the networks' predictions for each."""
 
 
@@ -93,7 +93,7 @@ class ProjectedSegmentation:
     def needs(self) -> str | None:
         return "images" if self.predicted else None
 
-    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
+    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> ViewEvidence:
         images = predictions["images"] if self.predicted else views["categories"]
         size = setting.ego.cells
         found = np.zeros((len(images), len(setting.layers), size, size), bool)
@@ -108,7 +108,7 @@ class ProjectedSegmentation:
                 self.max_range,
             )
             found[index] = layers[setting.layers]
-        return Statement(found.astype(np.float32), found | views["seen"][:, None])
+        return ViewEvidence(found.astype(np.float32), found | views["seen"][:, None])
 
 
 @dataclass(frozen=True)
@@ -116,18 +116,18 @@ class SeenPrediction:
     """imagination_seen: the prediction where depth saw the cell, prediction ∘ V_seen.
 
     Attributes:
-        needs: maps, or plain_maps for what is to be grown by itself: grown twice is worse than once.
+        needs: maps, or raw_maps for what is to be grown by itself: grown twice is worse than once.
     """
 
     needs: str = "maps"
 
     def __post_init__(self) -> None:
-        check_choice("evidence.needs", self.needs, ("maps", "plain_maps"))
+        check_choice("evidence.needs", self.needs, ("maps", "raw_maps"))
 
-    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
+    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> ViewEvidence:
         probabilities = predictions[self.needs]
         # masked by what is written, not by zeros: these would be mixed into the rim of V_seen when views are registered
-        return Statement(probabilities, np.broadcast_to(views["seen"][:, None], probabilities.shape))
+        return ViewEvidence(probabilities, np.broadcast_to(views["seen"][:, None], probabilities.shape))
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class ValidPrediction:
         check_range("mapping.valid_kernel", self.kernel, 0.0, 100.0, "m")
         check_choice("evidence.needs", self.needs, ("maps", "maps_of_shuffled_rgb"))
 
-    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
+    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> ViewEvidence:
         seen, resolution = views["seen"][:, None], setting.ego.resolution
         return valid_imagination(predictions[self.needs], seen, self.threshold, self.kernel, resolution)
 
@@ -158,7 +158,7 @@ class ValidPrediction:
 class ImaginableArea:
     """Where anything can be imagined, V_filter = dilation(V_object ∘ V_seen, delta), made from the truth.
 
-    With the finish `truth` it becomes the oracle: a unit that answers each view with its label, V_label, and loses
+    With postprocess `ground_truth` it becomes the oracle: a unit that answers each view with its label, V_label, and loses
     nothing when views are registered.
 
     Attributes:
@@ -171,10 +171,10 @@ class ImaginableArea:
     def __post_init__(self) -> None:
         check_range("kernels.imaginable", self.kernel, 0.0, 100.0, "m")
 
-    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> Statement:
+    def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> ViewEvidence:
         delta = kernel_cells(self.kernel, setting.ego.resolution)
         mask = imaginable_mask(views["object"][:, setting.layers], views["seen"][:, None], delta)
-        return Statement(mask.astype(np.float32), mask)
+        return ViewEvidence(mask.astype(np.float32), mask)
 
 
 @dataclass(frozen=True)
@@ -184,18 +184,18 @@ class Approach:
     Attributes:
         evidence: what it says about a view.
         rule: how the statements of successive views are put together.
-        finish: what is done to the map once its threshold is applied: keep (nothing), close (gaps), grow, or truth
-            (what is not in the truth is removed: for upper bounds).
-        kernels: candidates for closing or growing, metres; the best on validation homes is taken.
+        postprocess: applied to the map after its threshold: none, close (fill gaps), dilate, or ground_truth (remove
+            cells that are not in the ground truth: for upper bounds).
+        kernels: candidates for closing or growing, metres; the best on validation scenes is taken.
     """
 
     evidence: Evidence
-    rule: Rule
-    finish: str = "keep"
+    rule: UpdateRule
+    postprocess: str = "none"
     kernels: Sequence[float] = (0.0,)
 
     def __post_init__(self) -> None:
-        check_choice("approach.finish", self.finish, ("keep", "close", "grow", "truth"))
+        check_choice("approach.postprocess", self.postprocess, ("none", "close", "dilate", "ground_truth"))
         for kernel in self.kernels:
             check_range("approach.kernels", kernel, 0.0, 10.0, "m")
         check_range("approach.kernels", len(self.kernels), 1, 1000, "candidates")
@@ -205,7 +205,7 @@ class Approach:
         """Approaches with equal keys have the same map before finishing."""
         return self.evidence, self.rule
 
-    def finished(
+    def apply_postprocess(
         self,
         score: Float32[np.ndarray, "h w"],
         truth: Bool[np.ndarray, "h w"],
@@ -216,9 +216,9 @@ class Approach:
 
         That order does not matter, since a dilation or erosion with a flat kernel takes the largest or smallest score.
         """
-        if self.finish == "truth":
+        if self.postprocess == "ground_truth":
             return np.where(truth, score, np.float32(0))
         cells = kernel_cells(kernel, resolution) if kernel > 0 else 1
-        if self.finish == "keep" or cells == 1:
+        if self.postprocess == "none" or cells == 1:
             return score
-        return (close if self.finish == "close" else dilate)(score, cells)
+        return (close if self.postprocess == "close" else dilate)(score, cells)

@@ -24,32 +24,32 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
-def check_homes(checkpoints: Sequence[Checkpoint], source: SceneSource) -> None:
-    """Check that no home that is chosen or measured on was trained in; tell if networks were trained in different ones.
+def check_scenes(checkpoints: Sequence[Checkpoint], source: SceneSource) -> None:
+    """Check that no scene that is chosen or measured on was trained in; tell if networks were trained in different ones.
 
     Raises:
-        UserError: with a home that was.
+        UserError: with a scene that was.
     """
     for split in ("val", "test"):
-        here = {source.fingerprint(home): home for home in source.scenes(split)}
+        here = {source.fingerprint(scene): scene for scene in source.scenes(split)}
         for checkpoint in checkpoints:
-            if both := [(name, here[found]) for name, found in checkpoint.homes.items() if found in here]:
+            if both := [(name, here[found]) for name, found in checkpoint.scenes.items() if found in here]:
                 trained, found = both[0]
                 raise UserError(
                     f"ckpt: {checkpoint.path} was trained in {trained}, which is {found} of the split {split!r} now; "
-                    "train it again with these homes, or evaluate with those it was trained with"
+                    "train it again with these scenes, or evaluate with those it was trained with"
                 )
-    told = [checkpoint for checkpoint in checkpoints if checkpoint.homes]
+    told = [checkpoint for checkpoint in checkpoints if checkpoint.scenes]
     for other in told[1:]:
-        if set(other.homes.values()) != set(told[0].homes.values()):
+        if set(other.scenes.values()) != set(told[0].scenes.values()):
             log.warning(
-                "ckpt: %s and %s were trained in different homes, or by different versions of what makes homes",
+                "ckpt: %s and %s were trained in different scenes, or by different versions of what makes scenes",
                 told[0].path,
                 other.path,
             )
 
 
-def configured(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictConfig:
+def evaluation_config(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictConfig:
     """The config of the evaluation: the first checkpoint's, with the categories of all, then the command line's.
 
     Raises:

@@ -17,7 +17,7 @@ from imagination.views.collector import Views
 
 
 class Area(NamedTuple):
-    """The part of a home's ground truth that a run can write to.
+    """The part of a scene's ground truth that a run can write to.
 
     Attributes:
         grid: of the part.
@@ -33,10 +33,10 @@ class Area(NamedTuple):
 def area_of(
     truth: GroundTruth, layers: list[int], poses: Float64[np.ndarray, "n 3"], ego: EgoGrid, margin: float
 ) -> Area:
-    """Crop a home's maps to all of its truth and everything its views reach, which changes no count of pixels.
+    """Crop a scene's maps to all of its truth and everything its views reach, which changes no count of pixels.
 
     Args:
-        truth: the home's maps.
+        truth: the scene's maps.
         layers: rows of the category table that are evaluated.
         poses: of the views.
         ego: grid of the views.

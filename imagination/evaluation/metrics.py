@@ -1,4 +1,4 @@
-"""How well a global map agrees with the truth: counts, intersection over union, and bootstrap intervals over homes."""
+"""How well a global map agrees with the truth: counts, intersection over union, and bootstrap intervals over scenes."""
 
 from typing import NamedTuple
 
@@ -31,29 +31,29 @@ def iou(counts: Int64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n"]:
     return result
 
 
-def pooled_iou(counts: Int64[np.ndarray, "homes sets 3"]) -> float:
-    """IoU of all runs taken together: large homes count for more."""
+def pooled_iou(counts: Int64[np.ndarray, "scenes sets 3"]) -> float:
+    """IoU of all runs taken together: large scenes count for more."""
     return float(iou(counts.sum(axis=(0, 1))))
 
 
-def mean_iou(counts: Int64[np.ndarray, "homes sets 3"]) -> float:
+def mean_iou(counts: Int64[np.ndarray, "scenes sets 3"]) -> float:
     """Mean of the IoU of each run: every run counts the same."""
     return float(iou(counts).mean())
 
 
-def resample(homes: int, resamples: int, seed: int) -> Int64[np.ndarray, "resamples homes"]:
-    """How often each home is drawn in each resample of as many homes, with replacement.
+def resample(scenes: int, resamples: int, seed: int) -> Int64[np.ndarray, "resamples scenes"]:
+    """How often each scene is drawn in each resample of as many scenes, with replacement.
 
     The same arguments give the same draws, so two approaches resampled with them are compared in pairs.
     """
     rng = np.random.default_rng(seed)
-    return rng.multinomial(homes, np.full(homes, 1 / homes), size=resamples)
+    return rng.multinomial(scenes, np.full(scenes, 1 / scenes), size=resamples)
 
 
 def bootstrap_iou(
-    counts: Int64[np.ndarray, "homes sets 3"], draws: Int64[np.ndarray, "resamples homes"]
+    counts: Int64[np.ndarray, "scenes sets 3"], draws: Int64[np.ndarray, "resamples scenes"]
 ) -> Float64[np.ndarray, " resamples"]:
-    """Pooled IoU of each resample; the runs of a home stay together, because they share its furniture."""
+    """Pooled IoU of each resample; the runs of a scene stay together, because they share its furniture."""
     return iou(draws @ counts.sum(axis=1))
 
 

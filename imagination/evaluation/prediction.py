@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from imagination.data.collate import Batch, observations
 from imagination.evaluation.approaches import Predictions
-from imagination.models.unit import Answers
+from imagination.models.unit import Prediction
 from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError
 from imagination.utils.precision import answering, resolved
@@ -22,23 +22,23 @@ PACKAGES = ("models", "mapping")
 """Whose code decides, beside that of the cache's makers, what an evaluation finds."""
 
 
-ANSWERS = ("mirrored_answers", "dilated_answers")
+ANSWERS = ("tta_hflip", "postprocess_dilation")
 """Attributes of networks that say how they answer; no weights tell."""
 
 
 @runtime_checkable
 class Model(Protocol):
-    """A trained unit, as UnitTraining is one."""
+    """A trained unit, as LitUnit is one."""
 
     categories: list[str]
 
-    def predict(self, batch: Batch) -> Answers:
+    def predict(self, batch: Batch) -> Prediction:
         """Probabilities of the unit's categories."""
 
 
 @runtime_checkable
 class Segmenter(Protocol):
-    """A network for first-person segmentation, as SegmentationTraining is one."""
+    """A network for first-person segmentation, as LitSegmentation is one."""
 
     categories: list[str]
 
@@ -96,7 +96,7 @@ class Predictor:
     @property
     def gives(self) -> frozenset[str]:
         """Which of `NEEDS` it fulfils."""
-        maps = {"maps", "plain_maps", "maps_of_shuffled_rgb"} if self.units else set()
+        maps = {"maps", "raw_maps", "maps_of_shuffled_rgb"} if self.units else set()
         return frozenset(maps | ({"images"} if self.segmenters else set()))
 
     @cached_property
@@ -119,11 +119,11 @@ class Predictor:
         """Those of `NEEDS` that are wanted, for each view."""
         answers: Predictions = {}
         with answering(self.precision, self._device):
-            if {"maps", "plain_maps"} & set(wanted):
+            if {"maps", "raw_maps"} & set(wanted):
                 both = self._maps(views)
                 answers |= {
                     name: maps
-                    for name, maps in zip(("maps", "plain_maps"), both, strict=True)
+                    for name, maps in zip(("maps", "raw_maps"), both, strict=True)
                     if name in wanted
                 }
             if "maps_of_shuffled_rgb" in wanted:
@@ -153,8 +153,8 @@ class Predictor:
             batch = observations(part)
             each = zip(*(unit.predict(batch) for unit in self.units), strict=True)
             chunks.append([torch.cat(maps, dim=1).cpu()[:, self._order].numpy() for maps in each])
-        maps, plain = (np.concatenate(kind) for kind in zip(*chunks, strict=True))
-        return maps, plain
+        maps, raw = (np.concatenate(kind) for kind in zip(*chunks, strict=True))
+        return maps, raw
 
     def _images(self, views: Views) -> UInt8[np.ndarray, "n h w"]:
         (segmenter,), (rows,) = self.segmenters, self._rows

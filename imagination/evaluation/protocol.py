@@ -1,6 +1,6 @@
-"""The mapping task of the paper: global maps from sparse viewpoints, compared with the truth of the whole home.
+"""The mapping task of the paper: global maps from sparse viewpoints, compared with the truth of the whole scene.
 
-Thresholds and kernels are chosen on validation homes, then every home, cell width and viewpoint set of the test split
+Thresholds and kernels are chosen on validation scenes, then every scene, cell width and viewpoint set of the test split
 is measured. Nothing here knows what kind of network predicts.
 """
 
@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Int64
 
 from imagination.evaluation.approaches import NEEDS, Approach, Predictions, Setting
-from imagination.evaluation.records import Choices, Counts, Example, Key, Report
+from imagination.evaluation.records import Counts, Example, Key, Report, SelectedThresholds
 from imagination.evaluation.saved_maps import SavedMaps
-from imagination.evaluation.threshold_selection import THRESHOLDS, choose
-from imagination.evaluation.trial_worker import Arrays, Plan, maps_of, measure_run, tally_run
-from imagination.evaluation.trials import Looks, Run, render, runs_of, views_of
+from imagination.evaluation.threshold_selection import THRESHOLDS, select_threshold
+from imagination.evaluation.trial_worker import Arrays, Plan, count_trial, evaluate_trial, maps_of
+from imagination.evaluation.trials import Trial, ViewpointSampling, render, trials_of, views_of
 from imagination.utils.errors import UserError, check_choice, check_range, first_of
 from imagination.utils.precision import PRECISIONS
 from imagination.utils.progress import progress
@@ -49,8 +49,8 @@ class Predict(Protocol):
         """Those of `NEEDS` that are wanted, for each view."""
 
 
-class Subject(NamedTuple):
-    """What is evaluated, and on which homes' worker processes.
+class ModelUnderTest(NamedTuple):
+    """What is evaluated, and on which scenes' worker processes.
 
     Attributes:
         pool: renders views and measures maps; holds the observer.
@@ -72,14 +72,14 @@ class MappingProtocol:
     Attributes:
         approaches: by name, in the order of the table.
         cell_widths: spacings of the viewpoints, metres.
-        viewpoint_sets: random sets for each home and cell width.
+        viewpoint_sets: random sets for each scene and cell width.
         orientations: random headings at each viewpoint.
         seed: of viewpoints, headings, shuffling and bootstrap.
-        resamples: of homes, for intervals.
+        resamples: of scenes, for intervals.
         only: names of the approaches to evaluate; None for all that the networks at hand suffice for.
-        known_homes: how many homes with furniture as in training, none of which is trained on, are measured as well.
+        known_scenes: how many scenes with furniture as in training, none of which is trained on, are measured as well.
         precision: what networks answer in, one of `PRECISIONS`.
-        threshold: of every global map, a whole number of hundredths; None for each approach's best on validation homes.
+        threshold: of every global map, a whole number of hundredths; None for each approach's best on validation scenes.
     """
 
     approaches: Mapping[str, Approach]
@@ -89,7 +89,7 @@ class MappingProtocol:
     seed: int
     resamples: int
     only: Sequence[str] | None = None
-    known_homes: int = 0
+    known_scenes: int = 0
     precision: str = "32-true"
     threshold: float | None = None
 
@@ -105,7 +105,7 @@ class MappingProtocol:
         check_range("evaluation.viewpoint_sets", self.viewpoint_sets, 1, 10_000)
         check_range("evaluation.orientations", self.orientations, 1, 1000)
         check_range("evaluation.resamples", self.resamples, 10, 10_000_000)
-        check_range("evaluation.known_homes", self.known_homes, 0, 9999, "homes")
+        check_range("evaluation.known_scenes", self.known_scenes, 0, 9999, "scenes")
         if self.threshold is not None and self.threshold not in THRESHOLDS.astype(np.float64).round(2):
             raise UserError(
                 f"evaluation.threshold: got {self.threshold}, expected 0.01, 0.02, … 0.99, or null"
@@ -133,71 +133,78 @@ class MappingProtocol:
             self, approaches={name: self.approaches[name] for name in names if name not in lacking}
         )
 
-    def choose(self, subject: Subject, homes: Sequence[str], silent: bool = False) -> Choices:
-        """Choose threshold and kernel of each approach by pooled IoU over all runs of `homes` together.
+    def select_thresholds(
+        self, subject: ModelUnderTest, scenes: Sequence[str], silent: bool = False
+    ) -> SelectedThresholds:
+        """Choose threshold and kernel of each approach by pooled IoU over all runs of `scenes` together.
 
         Raises:
-            UserError: if a category is in none of the homes.
+            UserError: if a category is in none of the scenes.
         """
-        present = homes_with(subject, homes)
+        present = scenes_with(subject, scenes)
         totals: dict[tuple[str, str], Int64[np.ndarray, "kernels t 3"]] = {
             (name, category): np.zeros((len(approach.kernels), len(THRESHOLDS), 3), np.int64)
             for category in present
             for name, approach in self.approaches.items()
         }
-        for run, tallies in self._each(
-            subject, homes, tally_run, (), "global maps of validation homes", silent
+        for trial, tallies in self._each(
+            subject, scenes, count_trial, (), "global maps of validation scenes", silent
         ):
             for (name, category), total in totals.items():
-                if run.home in present[category]:
+                if trial.scene in present[category]:
                     total += tallies[name][subject.setting.categories.index(category)]
         allowed = np.s_[:] if self.threshold is None else np.isclose(THRESHOLDS, self.threshold)
         return {
-            (name, category): choose(tallies[:, allowed], self.approaches[name].kernels, THRESHOLDS[allowed])
+            (name, category): select_threshold(
+                tallies[:, allowed], self.approaches[name].kernels, THRESHOLDS[allowed]
+            )
             for (name, category), tallies in totals.items()
         }
 
-    def measure(
+    def evaluate(
         self,
-        subject: Subject,
-        homes: Sequence[str],
-        choices: Choices,
+        subject: ModelUnderTest,
+        scenes: Sequence[str],
+        choices: SelectedThresholds,
         silent: bool = False,
         save: Callable[[SavedMaps], None] = lambda maps: None,
-        title: str = "global maps of test homes",
+        title: str = "global maps of test scenes",
     ) -> Report:
-        """Measure every approach on all runs of `homes`.
+        """Measure every approach on all runs of `scenes`.
 
         Args:
             subject: what is measured.
-            homes: names of scenes.
+            scenes: names of scenes.
             choices: threshold and kernel of each approach and category.
             silent: show no progress.
             save: called with the maps of each run.
             title: of the progress shown.
 
         Raises:
-            UserError: if a category is in none of the homes.
+            UserError: if a category is in none of the scenes.
         """
-        present = homes_with(subject, homes)
+        present = scenes_with(subject, scenes)
         plan, categories = self._plan(subject), subject.setting.categories
-        measured: list[tuple[Run, Arrays]] = []
+        measured: list[tuple[Trial, Arrays]] = []
         examples: list[Example] = []
-        for run, arrays in self._each(subject, homes, measure_run, (choices,), title, silent):
-            maps = maps_of(run, plan, arrays)
+        for trial, arrays in self._each(subject, scenes, evaluate_trial, (choices,), title, silent):
+            maps = maps_of(trial, plan, arrays)
             save(maps.cropped())
-            measured.append((run, {name: arrays[name] for name in COUNTED}))
+            measured.append((trial, {name: arrays[name] for name in COUNTED}))
             examples += [
                 maps.example(layer)
                 for layer, category in enumerate(categories)
-                if run.number == 0 and run.home == present[category][0]
+                if trial.number == 0 and trial.scene == present[category][0]
             ]
         return Report(
             self._by_key("counts", measured, categories, present),
             self._by_key("counts_shuffled", measured, categories, present),
             choices,
             present,
-            {category: [home for home in homes if home not in names] for category, names in present.items()},
+            {
+                category: [scene for scene in scenes if scene not in names]
+                for category, names in present.items()
+            },
             examples,
             [arrays["snap_distance"] for _, arrays in measured],
             self._by_key("counts_seen", measured, categories, present),
@@ -207,63 +214,63 @@ class MappingProtocol:
     def _by_key(
         self,
         kind: str,
-        measured: Sequence[tuple[Run, Arrays]],
+        measured: Sequence[tuple[Trial, Arrays]],
         categories: Sequence[str],
         present: Mapping[str, Sequence[str]],
     ) -> Counts:
-        """Counts of one kind, of the homes that contain the category."""
+        """Counts of one kind, of the scenes that contain the category."""
         counts = {}
         for (place, name), (layer, category), width in product(
             enumerate(self.approaches), enumerate(categories), map(float, self.cell_widths)
         ):
             rows = [
                 arrays[kind][place, layer]
-                for run, arrays in measured
-                if run.cell_width == width and run.home in present[category]
+                for trial, arrays in measured
+                if trial.cell_width == width and trial.scene in present[category]
             ]
             counts[Key(name, category, width)] = np.stack(rows).reshape(-1, self.viewpoint_sets, 3)
         return counts
 
-    def _plan(self, subject: Subject) -> Plan:
-        return Plan(self.approaches, subject.setting, Looks(self.seed, self.orientations))
+    def _plan(self, subject: ModelUnderTest) -> Plan:
+        return Plan(self.approaches, subject.setting, ViewpointSampling(self.seed, self.orientations))
 
     def _each(
         self,
-        subject: Subject,
-        homes: Sequence[str],
+        subject: ModelUnderTest,
+        scenes: Sequence[str],
         task: Callable[..., Arrays],
         arguments: tuple[Any, ...],
         title: str,
         silent: bool,
-    ) -> Iterator[tuple[Run, Arrays]]:
-        """What `task` gives of every run: home by home, then by cell width and viewpoint set.
+    ) -> Iterator[tuple[Trial, Arrays]]:
+        """What `task` gives of every run: scene by scene, then by cell width and viewpoint set.
 
-        Networks predict here, the workers of the homes do the rest meanwhile. Finished runs are kept in the cache.
+        Networks predict here, the workers of the scenes do the rest meanwhile. Finished runs are kept in the cache.
         """
-        plan, runs = self._plan(subject), runs_of(homes, self.cell_widths, self.viewpoint_sets)
-        render(subject.pool, runs, plan.looks, silent)
+        plan, trials = self._plan(subject), trials_of(scenes, self.cell_widths, self.viewpoint_sets)
+        render(subject.pool, trials, plan.sampling, silent)
         observer, cache = subject.pool.observer, subject.pool.observer.cache
         networks = subject.predict.fingerprint if subject.keep else ""
         waiting: deque[tuple[dict[str, Any], Future[Arrays] | Arrays]] = deque()
 
-        def start(run: Run) -> tuple[dict[str, Any], Future[Arrays] | Arrays]:
+        def start(trial: Trial) -> tuple[dict[str, Any], Future[Arrays] | Arrays]:
             own = {"task": task.__name__, "arguments": repr(arguments), "networks": networks}
-            key = {**own, **plan.key(observer, run)}
+            key = {**own, **plan.key(observer, trial)}
             if subject.keep and (kept := cache.load(KIND, key)) is not None:
                 return key, kept
-            predictions = self._predict(subject, plan, views_of(observer, run, plan.looks))
-            return key, subject.pool.submit(task, run.home, run, plan, *arguments, predictions)
+            predictions = self._predict(subject, plan, views_of(observer, trial, plan.sampling))
+            return key, subject.pool.submit(task, trial.scene, trial, plan, *arguments, predictions)
 
-        for place, run in enumerate(runs if silent else progress(runs, title)):
-            waiting.extend(map(start, runs[place + len(waiting) : place + 1 + subject.pool.ahead]))
+        for place, trial in enumerate(trials if silent else progress(trials, title)):
+            waiting.extend(map(start, trials[place + len(waiting) : place + 1 + subject.pool.ahead]))
             key, result = waiting.popleft()
             if isinstance(result, Future):
                 result = result.result()
                 if subject.keep:
                     cache.store(KIND, key, result)
-            yield run, result
+            yield trial, result
 
-    def _predict(self, subject: Subject, plan: Plan, views: Views) -> Predictions:
+    def _predict(self, subject: ModelUnderTest, plan: Plan, views: Views) -> Predictions:
         if len(views["pose"]):
             return subject.predict(views, plan.needs)
         size, setting = subject.setting.ego.cells, subject.setting
@@ -271,7 +278,7 @@ class MappingProtocol:
         return dict.fromkeys(NEEDS, maps) | {"images": views["categories"]}
 
 
-def _ratios(measured: Sequence[tuple[Run, Arrays]], categories: Sequence[str]) -> dict[str, float]:
+def _ratios(measured: Sequence[tuple[Trial, Arrays]], categories: Sequence[str]) -> dict[str, float]:
     """IoU of the predicted segmentation of all images, for each category."""
     pixels = sum((arrays["first_person"] for _, arrays in measured), np.zeros((len(categories), 2), np.int64))
     return {
@@ -279,21 +286,21 @@ def _ratios(measured: Sequence[tuple[Run, Arrays]], categories: Sequence[str]) -
     }
 
 
-def homes_with(subject: Subject, homes: Sequence[str]) -> dict[str, list[str]]:
-    """For each evaluated category, those of the homes that contain it.
+def scenes_with(subject: ModelUnderTest, scenes: Sequence[str]) -> dict[str, list[str]]:
+    """For each evaluated category, those of the scenes that contain it.
 
     Raises:
         UserError: if a category is in none of them.
     """
     observer, setting = subject.pool.observer, subject.setting
     present = {
-        category: [home for home in homes if observer.truth(home).truth[layer].any()]
+        category: [scene for scene in scenes if observer.truth(scene).truth[layer].any()]
         for category, layer in zip(setting.categories, setting.layers, strict=True)
     }
     for category, names in present.items():
         if not names:
             raise UserError(
-                f"category {category!r}: none of the {len(homes)} homes to evaluate contains one "
-                f"({first_of(homes)}); choose another category or more homes"
+                f"category {category!r}: none of the {len(scenes)} scenes to evaluate contains one "
+                f"({first_of(scenes)}); choose another category or more scenes"
             )
     return present

@@ -1,4 +1,4 @@
-"""What an evaluation finds: counts of every run, what was chosen on validation homes, and examples to draw."""
+"""What an evaluation finds: counts of every run, what was chosen on validation scenes, and examples to draw."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,16 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from imagination.evaluation.threshold_selection import Choice
-from imagination.evaluation.trials import Run
+from imagination.evaluation.threshold_selection import SelectedThreshold
+from imagination.evaluation.trials import Trial
 from imagination.geometry.grid import Grid
 from imagination.utils.atomic_io import write_text
 from imagination.utils.tabular import to_csv
 
-HOMES = "homes.csv"
-"""In tables/: the homes to measure; which of them are missing is seen where an evaluation stopped."""
+SCENES = "scenes.csv"
+"""In tables/: the scenes to measure; which of them are missing is seen where an evaluation stopped."""
 
-Choices = dict[tuple[str, str], Choice]
+SelectedThresholds = dict[tuple[str, str], SelectedThreshold]
 """What was chosen for each approach and category."""
 
 
@@ -28,8 +28,8 @@ class Key(NamedTuple):
     cell_width: float
 
 
-Counts = dict[Key, Int64[np.ndarray, "homes sets 3"]]
-"""Correct, false and truth pixels of every run of the homes that contain the category."""
+Counts = dict[Key, Int64[np.ndarray, "scenes sets 3"]]
+"""Correct, false and truth pixels of every run of the scenes that contain the category."""
 
 
 class Example(NamedTuple):
@@ -43,7 +43,7 @@ class Example(NamedTuple):
         poses: of the views.
     """
 
-    run: Run
+    trial: Trial
     category: str
     grid: Grid
     occupied: Bool[np.ndarray, "h w"]
@@ -59,8 +59,8 @@ class Report(NamedTuple):
         counts: of whole maps.
         shuffled: the same with the views of each run registered in a random order.
         choices: threshold and kernel of each approach and category.
-        homes, left_out: for each category, the homes that contain it and those that do not.
-        examples: maps of the first viewpoint set of each category's first home, one for each cell width.
+        scenes, left_out: for each category, the scenes that contain it and those that do not.
+        examples: maps of the first viewpoint set of each category's first scene, one for each cell width.
         snap_distances: how far each viewpoint of each run was moved to free space, metres.
         seen: counts in the cells alone that a view of the run saw.
         first_person: IoU of the predicted segmentation of the runs' images, pooled over them, for each category; empty
@@ -69,8 +69,8 @@ class Report(NamedTuple):
 
     counts: Counts
     shuffled: Counts
-    choices: Choices
-    homes: dict[str, list[str]]
+    choices: SelectedThresholds
+    scenes: dict[str, list[str]]
     left_out: dict[str, list[str]]
     examples: list[Example]
     snap_distances: list[Float64[np.ndarray, " n"]]
@@ -78,6 +78,6 @@ class Report(NamedTuple):
     first_person: dict[str, float]
 
 
-def write_homes(folder: Path, homes: Sequence[str]) -> None:
-    """Write the names of the homes that will be measured."""
-    write_text(folder / HOMES, to_csv([{"home": home} for home in homes]))
+def write_scenes(folder: Path, scenes: Sequence[str]) -> None:
+    """Write the names of the scenes that will be measured."""
+    write_text(folder / SCENES, to_csv([{"scene": scene} for scene in scenes]))

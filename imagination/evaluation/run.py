@@ -10,9 +10,9 @@ from imagination.data.datamodule import SceneData
 from imagination.evaluation import saved_maps, single_views
 from imagination.evaluation.approaches import NEEDS, Setting
 from imagination.evaluation.prediction import Model, Predictor, Segmenter
-from imagination.evaluation.protocol import MappingProtocol, Subject
-from imagination.evaluation.records import Choices, Report, write_homes
-from imagination.scenes.source import Credit, Credited, SpareHomes
+from imagination.evaluation.protocol import MappingProtocol, ModelUnderTest
+from imagination.evaluation.records import Report, SelectedThresholds, write_scenes
+from imagination.scenes.source import Credit, Credited, SpareScenes
 
 log = logging.getLogger(__name__)
 
@@ -39,17 +39,17 @@ class Evaluation(NamedTuple):
     seconds: float
 
 
-def subject_of(
+def model_under_test(
     data: SceneData, models: Sequence[Model | Segmenter], precision: str, keep: bool = True
-) -> Subject:
-    """Trained networks, answering in `precision`, in the homes of their data; units together imagine its categories."""
+) -> ModelUnderTest:
+    """Trained networks, answering in `precision`, in the scenes of their data; units together imagine its categories."""
     observer = data.observer
     setting = Setting(
         observer.camera, observer.ego, data.layers, data.unit_categories, len(observer.categories)
     )
     names = data.unit_categories, observer.categories.names
     predictor = Predictor(models, *names, data.batch_size, precision)
-    return Subject(data.pool, setting, predictor, keep)
+    return ModelUnderTest(data.pool, setting, predictor, keep)
 
 
 def evaluate(
@@ -68,18 +68,20 @@ def evaluate(
             disk is full.
     """
     start = perf_counter()
-    subject = subject_of(data, models, protocol.precision)
+    subject = model_under_test(data, models, protocol.precision)
     asked, protocol = protocol, protocol.available(subject.predict.gives)
     _log_left_out(asked, protocol)
     for split in ("val", "test"):
         data.survey(split)
     source = data.observer.source
-    choices = protocol.choose(subject, source.scenes("val"))
-    homes = source.scenes("test")
-    write_homes(folder / "tables", homes)
-    found = protocol.measure(subject, homes, choices, save=lambda maps: saved_maps.save(folder, maps))
+    choices = protocol.select_thresholds(subject, source.scenes("val"))
+    scenes = source.scenes("test")
+    write_scenes(folder / "tables", scenes)
+    found = protocol.evaluate(subject, scenes, choices, save=lambda maps: saved_maps.save(folder, maps))
     known = _known(protocol, subject, choices)
-    single_views.write(folder, single_views.measure(protocol, subject, homes, choices, data.imaginable))
+    single_views.write(
+        folder, single_views.evaluate_single_views(protocol, subject, scenes, choices, data.imaginable)
+    )
     credits = source.credits() if isinstance(source, Credited) else ()
     return Evaluation(protocol, subject.setting, found, known, credits, data.seed, perf_counter() - start)
 
@@ -92,17 +94,17 @@ def _log_left_out(asked: MappingProtocol, available: MappingProtocol) -> None:
         log.info("Left out: %s, which would need %s", ", ".join(left_out), "; ".join(sorted(needed)))
 
 
-def _known(protocol: MappingProtocol, subject: Subject, choices: Choices) -> Report | None:
-    """The same in homes with furniture as in training, none of which is trained on; None if none is asked for."""
-    if not protocol.known_homes:
+def _known(protocol: MappingProtocol, subject: ModelUnderTest, choices: SelectedThresholds) -> Report | None:
+    """The same in scenes with furniture as in training, none of which is trained on; None if none is asked for."""
+    if not protocol.known_scenes:
         return None
     source = subject.pool.observer.source
-    if not isinstance(source, SpareHomes):
+    if not isinstance(source, SpareScenes):
         log.warning(
-            "evaluation.known_homes: the scene source %s has no homes like those of training beside them, so known "
+            "evaluation.known_scenes: the scene source %s has no scenes like those of training beside them, so known "
             "furniture is not compared with unseen",
             source.name,
         )
         return None
-    homes = source.spare(protocol.known_homes)
-    return protocol.measure(subject, homes, choices, title="global maps of homes with known furniture")
+    scenes = source.spare(protocol.known_scenes)
+    return protocol.evaluate(subject, scenes, choices, title="global maps of scenes with known furniture")

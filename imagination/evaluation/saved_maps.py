@@ -1,18 +1,18 @@
 """Files of global maps: what an evaluation saves of every run, and what figures and recounts read.
 
-A full evaluation writes maps/<home>_<cell width>m_<viewpoint set>.npz, e.g. maps/test_0003_2.5m_0.npz: one file for
-each run of the test homes, cropped to the cells that hold anything at all, with
+A full evaluation writes maps/<scene>_<cell width>m_<viewpoint set>.npz, e.g. maps/test_0003_2.5m_0.npz: one file for
+each run of the test scenes, cropped to the cells that hold anything at all, with
 
     name        type and shape    what
-    home        str               of the scene
+    scene        str               of the scene
     cell_width  float             metres between viewpoints
     number      int               of the viewpoint set
     approaches  str [a]           as in mapping.csv
     categories  str [c]           as in mapping.csv
     level       uint8 [a, c, h, w]  the global map, finished (closed, grown) as chosen, in hundredths reached: 0 to 99
-    threshold   uint8 [a, c]      chosen on validation homes, in hundredths
-    truth       bool [c, h, w]    M_gt of the whole home
-    present     bool [c]          whether the home contains the category; tables leave it out otherwise
+    threshold   uint8 [a, c]      chosen on validation scenes, in hundredths
+    truth       bool [c, h, w]    M_gt of the whole scene
+    present     bool [c]          whether the scene contains the category; tables leave it out otherwise
     seen        bool [h, w]       cells that a view saw
     occupied    bool [h, w]       M_occu
     poses       float [n, 3]      x, y, heading of the views in the order of registration
@@ -32,7 +32,7 @@ from jaxtyping import Bool, Float64, UInt8
 
 from imagination.evaluation.records import Example
 from imagination.evaluation.threshold_selection import THRESHOLDS
-from imagination.evaluation.trials import Run
+from imagination.evaluation.trials import Trial
 from imagination.geometry.grid import Grid
 from imagination.utils.atomic_io import replacing
 from imagination.utils.errors import UserError, check_range
@@ -48,7 +48,7 @@ FARTHEST = 10_000
 class SavedMaps(NamedTuple):
     """The maps of one run; see the module's description."""
 
-    run: Run
+    trial: Trial
     approaches: list[str]
     categories: list[str]
     level: UInt8[np.ndarray, "a c h w"]
@@ -69,7 +69,7 @@ class SavedMaps(NamedTuple):
         """The maps of one category, for figures."""
         predicted = {name: self.predicted[place, layer] for place, name in enumerate(self.approaches)}
         shown = self.grid, self.occupied, self.truth[layer], predicted, self.poses
-        return Example(self.run, self.categories[layer], *shown)
+        return Example(self.trial, self.categories[layer], *shown)
 
     def cropped(self) -> "SavedMaps":
         """The same without rows and columns at the rim that hold nothing; no count of pixels changes."""
@@ -90,9 +90,9 @@ class SavedMaps(NamedTuple):
         )
 
 
-def path_of(folder: Path, run: Run) -> Path:
+def path_of(folder: Path, trial: Trial) -> Path:
     """File of a run's maps in an evaluation's folder."""
-    return folder / FOLDER / f"{run.home}_{run.cell_width:g}m_{run.number}.npz"
+    return folder / FOLDER / f"{trial.scene}_{trial.cell_width:g}m_{trial.number}.npz"
 
 
 def save(folder: Path, maps: SavedMaps) -> None:
@@ -102,10 +102,10 @@ def save(folder: Path, maps: SavedMaps) -> None:
         UserError: if the disk is full or may not be written.
     """
     arrays = {name: getattr(maps, name) for name in SavedMaps._fields if name not in ("run", "grid")}
-    with replacing(path_of(folder, maps.run)) as temporary:
+    with replacing(path_of(folder, maps.trial)) as temporary:
         np.savez_compressed(
             temporary,
-            **maps.run._asdict(),
+            **maps.trial._asdict(),
             **arrays,
             resolution=maps.grid.resolution,
             origin=maps.grid.origin,
@@ -122,14 +122,14 @@ def load(path: Path) -> SavedMaps:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
         width = check_range("cell_width", float(arrays.pop("cell_width")), 0.0, 1e3, "m")
-        run = Run(str(arrays.pop("home")), width, int(arrays.pop("number")))
+        trial = Trial(str(arrays.pop("scene")), width, int(arrays.pop("number")))
         x, y = arrays.pop("origin").tolist()
         rows, columns = arrays["seen"].shape
         grid = Grid(
             check_range("resolution", float(arrays.pop("resolution")), 0.005, 1.0), rows, columns, (x, y)
         )
         names = {name: arrays.pop(name).tolist() for name in ("approaches", "categories")}
-        return _checked(SavedMaps(run, **names, **arrays, grid=grid))
+        return _checked(SavedMaps(trial, **names, **arrays, grid=grid))
     except FileNotFoundError as error:
         raise UserError(f"maps: got {path}, but there is no such file") from error
     except Exception as error:  # zip, zlib and NumPy raise anything on a damaged file

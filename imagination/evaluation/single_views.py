@@ -9,12 +9,12 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from imagination.evaluation.approaches import NO_RIVALS, REFERENCE
 from imagination.evaluation.metrics import count, iou
-from imagination.evaluation.protocol import MappingProtocol, Subject, homes_with
-from imagination.evaluation.records import Choices
-from imagination.evaluation.threshold_selection import THRESHOLDS, tally
-from imagination.evaluation.trials import Looks, Run, render, runs_of, views_of
+from imagination.evaluation.protocol import MappingProtocol, ModelUnderTest, scenes_with
+from imagination.evaluation.records import SelectedThresholds
+from imagination.evaluation.threshold_selection import THRESHOLDS, confusion_counts
+from imagination.evaluation.trials import Trial, ViewpointSampling, render, trials_of, views_of
 from imagination.ground_truth.targets import label
-from imagination.mapping.predictor import Statement
+from imagination.mapping.predictor import ViewEvidence
 from imagination.utils.atomic_io import replacing, write_text
 from imagination.utils.errors import UserError, check_range
 from imagination.utils.tabular import Row, to_csv
@@ -40,7 +40,7 @@ class SingleView(NamedTuple):
 
     Attributes:
         rank: best, median or worst by IoU of the approach in `ranked_by`.
-        category, home: which.
+        category, scene: which.
         pose: x, y, θ of the robot.
         iou: of that approach.
         rgb: what the camera saw.
@@ -51,7 +51,7 @@ class SingleView(NamedTuple):
 
     rank: str
     category: str
-    home: str
+    scene: str
     pose: Float64[np.ndarray, "3"]
     iou: float
     rgb: UInt8[np.ndarray, "h w 3"]
@@ -85,7 +85,7 @@ class _Place(NamedTuple):
 
     iou: float
     size: int
-    run: Run
+    trial: Trial
     at: int
 
 
@@ -95,25 +95,29 @@ def ranked_by(approaches: Sequence[str]) -> str:
     return REFERENCE if REFERENCE in approaches else (fair or list(approaches))[-1]
 
 
-def measure(
-    protocol: MappingProtocol, subject: Subject, homes: Sequence[str], choices: Choices, imaginable: int
+def evaluate_single_views(
+    protocol: MappingProtocol,
+    subject: ModelUnderTest,
+    scenes: Sequence[str],
+    choices: SelectedThresholds,
+    imaginable: int,
 ) -> Singles:
-    """Look at the views of each home's first viewpoint set of the smallest cell width one by one.
+    """Look at the views of each scene's first viewpoint set of the smallest cell width one by one.
 
     Args:
         protocol: whose approaches and views are taken.
         subject: what is evaluated.
-        homes: of the test split.
+        scenes: of the test split.
         choices: threshold and kernel of each approach and category.
         imaginable: kernel δ of V_label, cells.
 
     Raises:
-        UserError: if a category is in none of the homes.
+        UserError: if a category is in none of the scenes.
     """
-    present = homes_with(subject, homes)
-    looks = Looks(protocol.seed, protocol.orientations)
-    runs = runs_of(homes, [min(protocol.cell_widths)], 1)
-    render(subject.pool, runs, looks, silent=True)
+    present = scenes_with(subject, scenes)
+    sampling = ViewpointSampling(protocol.seed, protocol.orientations)
+    trials = trials_of(scenes, [min(protocol.cell_widths)], 1)
+    render(subject.pool, trials, sampling, silent=True)
     names, observer = list(protocol.approaches), subject.pool.observer
     empty = np.zeros((len(THRESHOLDS), 3), np.int64)
     tallies = {(name, category): empty.copy() for category in present for name in names}
@@ -121,26 +125,26 @@ def measure(
     cells = {(part, category): empty.copy() for category in present for part in CELLS if imagined}
     places: dict[str, list[_Place]] = {category: [] for category in present}
     views = 0
-    for run in runs:
-        seen_here = views_of(observer, run, looks)
+    for trial in trials:
+        seen_here = views_of(observer, trial, sampling)
         if not len(seen_here["pose"]):
             continue
         views += len(seen_here["pose"])
         for view in _views(protocol, subject, seen_here, choices, imaginable):
             truth, score = view.label, view.scores[ranked_by(names)]
             for name in names:
-                tallies[name, view.category] += tally(view.scores[name], truth, THRESHOLDS)
+                tallies[name, view.category] += confusion_counts(view.scores[name], truth, THRESHOLDS)
             for part, mask in zip(CELLS, (view.seen | True, view.seen, ~view.seen), strict=True):
                 if imagined:
                     inside = np.where(mask, view.probabilities, np.float32(0))
-                    cells[part, view.category] += tally(inside, truth & mask, THRESHOLDS)
+                    cells[part, view.category] += confusion_counts(inside, truth & mask, THRESHOLDS)
             predicted = score >= np.float32(choices[ranked_by(names), view.category].threshold)
             value = float(iou(count(predicted, truth)))
-            places[view.category].append(_Place(value, int(truth.sum()), run, view.at))
+            places[view.category].append(_Place(value, int(truth.sum()), trial, view.at))
     shown = []
     for category, ranked in places.items():
         for rank, place in picks(ranked, subject.setting.ego.resolution).items():
-            kept = views_of(observer, place.run, looks)
+            kept = views_of(observer, place.trial, sampling)
             for view in _views(protocol, subject, kept, choices, imaginable):
                 if (view.category, view.at) == (category, place.at):
                     shown.append(_shown(view, rank, place, kept, choices))
@@ -174,13 +178,17 @@ class _View(NamedTuple):
 
 
 def _views(
-    protocol: MappingProtocol, subject: Subject, views: Views, choices: Choices, imaginable: int
+    protocol: MappingProtocol,
+    subject: ModelUnderTest,
+    views: Views,
+    choices: SelectedThresholds,
+    imaginable: int,
 ) -> Iterator[_View]:
     setting = subject.setting
     needs = {need for approach in protocol.approaches.values() if (need := approach.evidence.needs)}
     predictions = subject.predict(views, (needs | {"maps"}) & subject.predict.gives)
     labels = label(views["object"][:, setting.layers], views["seen"][:, None], imaginable)
-    statements: dict[object, Statement] = {}
+    statements: dict[object, ViewEvidence] = {}
     for approach in protocol.approaches.values():
         if approach.evidence not in statements:
             statements[approach.evidence] = approach.evidence(views, predictions, setting)
@@ -193,7 +201,9 @@ def _views(
                 said = statements[approach.evidence]
                 score = np.where(said.mask[index, layer], said.values[index, layer], np.float32(0))
                 kernel = choices[name, category].kernel
-                scores[name] = approach.finished(score, labels[index, layer], kernel, setting.ego.resolution)
+                scores[name] = approach.apply_postprocess(
+                    score, labels[index, layer], kernel, setting.ego.resolution
+                )
             yield _View(
                 category,
                 index,
@@ -204,13 +214,13 @@ def _views(
             )
 
 
-def _shown(view: _View, rank: str, place: _Place, views: Views, choices: Choices) -> SingleView:
+def _shown(view: _View, rank: str, place: _Place, views: Views, choices: SelectedThresholds) -> SingleView:
     predicted = {
         name: score >= np.float32(choices[name, view.category].threshold)
         for name, score in view.scores.items()
     }
     return SingleView(
-        rank, view.category, place.run.home, views["pose"][view.at], place.iou, views["rgb"][view.at], view.seen,
+        rank, view.category, place.trial.scene, views["pose"][view.at], place.iou, views["rgb"][view.at], view.seen,
         views["occupied"][view.at], view.label, view.probabilities, predicted,
     )  # fmt: skip
 
@@ -229,8 +239,8 @@ def threshold_rows(singles: Singles) -> list[Row]:
             "views": str(singles.views),
             "threshold": f"{threshold:.2f}",
             "correct_cells": str(correct),
-            "false_cells": str(false),
-            "truth_cells": str(truth),
+            "false_positives": str(false),
+            "gt_cells": str(truth),
         }
         for name, part, category, counts in groups
         for threshold, (correct, false, truth) in zip(THRESHOLDS.tolist(), counts.tolist(), strict=True)
@@ -306,9 +316,9 @@ def _checked(view: SingleView) -> SingleView:
     for name, array, kind, shape in expected:
         if (array.dtype, array.shape) != (np.dtype(kind), shape) or not array.size:
             raise UserError(f"{name}: got {array.dtype} of shape {array.shape}, expected {kind} of {shape}")
-    names = [view.rank, view.category, view.home, *view.predicted]
+    names = [view.rank, view.category, view.scene, *view.predicted]
     if not view.predicted or not all(isinstance(name, str) for name in names):
-        raise UserError(f"rank, category, home, approaches: got {names}, expected names")
+        raise UserError(f"rank, category, scene, approaches: got {names}, expected names")
     return view
 
 

@@ -1,4 +1,4 @@
-"""Choosing an approach's threshold and kernel on validation homes, by pooled IoU over all runs and cell widths."""
+"""Choosing an approach's threshold and kernel on validation scenes, by pooled IoU over all runs and cell widths."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,13 +12,13 @@ THRESHOLDS: Float32[np.ndarray, " t"] = (np.arange(1, 100) / 100).astype(np.floa
 """Candidates; above 0, so that a cell which no view wrote is never part of a map."""
 
 
-class Choice(NamedTuple):
+class SelectedThreshold(NamedTuple):
     """What was chosen for one approach and category.
 
     Attributes:
         threshold: cells with at least this score form the map.
         kernel: of closing or growing, metres; 0 where the approach does neither.
-        iou: pooled over the validation homes.
+        iou: pooled over the validation scenes.
     """
 
     threshold: float
@@ -33,7 +33,7 @@ def reached(
     return np.searchsorted(thresholds, score, side="right")
 
 
-def tally(
+def confusion_counts(
     score: Float32[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"], thresholds: Float32[np.ndarray, " t"]
 ) -> Int64[np.ndarray, "t 3"]:
     """Correct, false and truth pixels of [score >= threshold] for each threshold, in one pass over the map.
@@ -54,11 +54,11 @@ def tally(
     return np.stack([correct, false, np.full_like(correct, np.count_nonzero(truth))], axis=-1)
 
 
-def choose(
+def select_threshold(
     tallies: Int64[np.ndarray, "kernels t 3"],
     kernels: Sequence[float],
     thresholds: Float32[np.ndarray, " t"],
-) -> Choice:
+) -> SelectedThreshold:
     """The kernel and threshold with the highest pooled IoU.
 
     Ties go to the smallest kernel, then to the threshold nearest 0.5.
@@ -71,4 +71,6 @@ def choose(
     values: Float64[np.ndarray, "kernels t"] = iou(tallies)
     tied = np.argwhere(values == values.max())
     row, column = min(tied.tolist(), key=lambda at: (kernels[at[0]], abs(thresholds[at[1]] - 0.5)))
-    return Choice(round(float(thresholds[column]), 6), float(kernels[row]), float(values[row, column]))
+    return SelectedThreshold(
+        round(float(thresholds[column]), 6), float(kernels[row]), float(values[row, column])
+    )

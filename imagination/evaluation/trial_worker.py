@@ -1,4 +1,4 @@
-"""The work on one run: its maps, and what is counted in them. Called in the worker process that holds the home."""
+"""The work on one run: its maps, and what is counted in them. Called in the worker process that holds the scene."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float32, Int64, UInt8
 from imagination.evaluation.approaches import Approach, Predictions, Setting
 from imagination.evaluation.global_maps import Area, area_of, score_maps, seen_map
 from imagination.evaluation.metrics import count
-from imagination.evaluation.records import Choices
+from imagination.evaluation.records import SelectedThresholds
 from imagination.evaluation.saved_maps import SavedMaps
-from imagination.evaluation.threshold_selection import THRESHOLDS, reached, tally
-from imagination.evaluation.trials import Looks, Run, views_of
+from imagination.evaluation.threshold_selection import THRESHOLDS, confusion_counts, reached
+from imagination.evaluation.trials import Trial, ViewpointSampling, views_of
 from imagination.geometry.grid import Grid
-from imagination.utils.cache import plain
+from imagination.utils.cache import as_plain
 from imagination.views.collector import Views
 from imagination.views.observer import Observer
 from imagination.views.random_streams import Stream
@@ -37,29 +37,33 @@ class Plan(NamedTuple):
 
     approaches: Mapping[str, Approach]
     setting: Setting
-    looks: Looks
+    sampling: ViewpointSampling
 
     @property
     def needs(self) -> set[str]:
         """What the approaches need of networks."""
         return {need for approach in self.approaches.values() if (need := approach.evidence.needs)}
 
-    def key(self, observer: Observer, run: Run) -> dict[str, Any]:
+    def key(self, observer: Observer, trial: Trial) -> dict[str, Any]:
         """What a run's maps depend on beside the networks, as plain values."""
-        views = self.looks.key(observer, run)
-        return {"views": views, "approaches": plain(self.approaches), "categories": self.setting.categories}
+        views = self.sampling.key(observer, trial)
+        return {
+            "views": views,
+            "approaches": as_plain(self.approaches),
+            "categories": self.setting.categories,
+        }
 
-    def area(self, observer: Observer, run: Run, views: Views) -> Area:
-        """The part of the home that the run can write to."""
+    def area(self, observer: Observer, trial: Trial, views: Views) -> Area:
+        """The part of the scene that the run can write to."""
         margin = max(kernel for approach in self.approaches.values() for kernel in approach.kernels)
-        truth = observer.truth(run.home)
+        truth = observer.truth(trial.scene)
         return area_of(truth, self.setting.layers, views["pose"], self.setting.ego, margin)
 
 
-def tally_run(observer: Observer, home: str, run: Run, plan: Plan, predictions: Predictions) -> Arrays:
+def count_trial(observer: Observer, scene: str, trial: Trial, plan: Plan, predictions: Predictions) -> Arrays:
     """Counts of every approach, category, kernel and threshold, [c k t 3] for each approach: what is chosen from."""
-    views = views_of(observer, run, plan.looks)
-    area = plan.area(observer, run, views)
+    views = views_of(observer, trial, plan.sampling)
+    area = plan.area(observer, trial, views)
     scores = score_maps(
         views, predictions, plan.approaches, plan.setting, area.grid, np.arange(len(views["pose"]))
     )
@@ -68,7 +72,11 @@ def tally_run(observer: Observer, home: str, run: Run, plan: Plan, predictions: 
         tallies[name] = np.stack(
             [
                 [
-                    tally(approach.finished(layer, truth, kernel, area.grid.resolution), truth, THRESHOLDS)
+                    confusion_counts(
+                        approach.apply_postprocess(layer, truth, kernel, area.grid.resolution),
+                        truth,
+                        THRESHOLDS,
+                    )
                     for kernel in approach.kernels
                 ]
                 for layer, truth in zip(scores[name], area.truth, strict=True)
@@ -77,8 +85,13 @@ def tally_run(observer: Observer, home: str, run: Run, plan: Plan, predictions: 
     return tallies
 
 
-def measure_run(
-    observer: Observer, home: str, run: Run, plan: Plan, choices: Choices, predictions: Predictions
+def evaluate_trial(
+    observer: Observer,
+    scene: str,
+    trial: Trial,
+    plan: Plan,
+    choices: SelectedThresholds,
+    predictions: Predictions,
 ) -> Arrays:
     """The finished maps of a run and their counts.
 
@@ -88,11 +101,11 @@ def measure_run(
         the viewpoints; first_person [c 2], pixels in which the predicted segmentation and the true one agree on the
         category and in which either has it, without a segmentation network 0.
     """
-    views = views_of(observer, run, plan.looks)
-    area = plan.area(observer, run, views)
+    views = views_of(observer, trial, plan.sampling)
+    area = plan.area(observer, trial, views)
     number = len(views["pose"])
-    width = round(run.cell_width * 1000)  # millimetres, since seeds are integers
-    seed = [plan.looks.seed, Stream.REGISTRATION_ORDER, crc32(run.home.encode()), width, run.number]
+    width = round(trial.cell_width * 1000)  # millimetres, since seeds are integers
+    seed = [plan.sampling.seed, Stream.REGISTRATION_ORDER, crc32(trial.scene.encode()), width, trial.number]
     orders = np.arange(number), np.random.default_rng(seed).permutation(number)
     levels = [
         _levels(
@@ -110,7 +123,7 @@ def measure_run(
         "level": levels[0],
         "threshold": threshold,
         "truth": area.truth,
-        "present": np.asarray(observer.truth(home).truth[plan.setting.layers].any(axis=(1, 2))),
+        "present": np.asarray(observer.truth(scene).truth[plan.setting.layers].any(axis=(1, 2))),
         "seen": seen,
         "occupied": area.occupied,
         "poses": views["pose"],
@@ -124,27 +137,31 @@ def measure_run(
     }
 
 
-def maps_of(run: Run, plan: Plan, arrays: Arrays) -> SavedMaps:
-    """The maps among what `measure_run` gave."""
+def maps_of(trial: Trial, plan: Plan, arrays: Arrays) -> SavedMaps:
+    """The maps among what `evaluate_trial` gave."""
     x, y = arrays["origin"].tolist()
     rows, columns = arrays["seen"].shape
     grid = Grid(float(arrays["resolution"]), rows, columns, (x, y))
     held = {name: arrays[name] for name in SavedMaps._fields if name in arrays}
-    return SavedMaps(run, list(plan.approaches), list(plan.setting.categories), **held, grid=grid)
+    return SavedMaps(trial, list(plan.approaches), list(plan.setting.categories), **held, grid=grid)
 
 
-def _levels(scores: Scores, plan: Plan, area: Area, choices: Choices) -> UInt8[np.ndarray, "a c h w"]:
+def _levels(
+    scores: Scores, plan: Plan, area: Area, choices: SelectedThresholds
+) -> UInt8[np.ndarray, "a c h w"]:
     """How many of `THRESHOLDS` each cell of the finished maps reaches; nothing where a category has no choice."""
     levels = np.zeros((len(plan.approaches), *area.truth.shape), np.uint8)
     for place, (name, approach) in enumerate(plan.approaches.items()):
         for layer, category in enumerate(plan.setting.categories):
             kernel = choices[name, category].kernel
-            score = approach.finished(scores[name][layer], area.truth[layer], kernel, area.grid.resolution)
+            score = approach.apply_postprocess(
+                scores[name][layer], area.truth[layer], kernel, area.grid.resolution
+            )
             levels[place, layer] = reached(score, THRESHOLDS)
     return levels
 
 
-def _thresholds(plan: Plan, choices: Choices) -> UInt8[np.ndarray, "a c"]:
+def _thresholds(plan: Plan, choices: SelectedThresholds) -> UInt8[np.ndarray, "a c"]:
     """In hundredths."""
     return np.array(
         [

@@ -11,7 +11,7 @@ from imagination.utils.errors import UserError, check_range
 
 
 class Viewpoints(NamedTuple):
-    """One set of viewpoints of a home; metres, world frame.
+    """One set of viewpoints of a scene; metres, world frame.
 
     Attributes:
         points: as Algorithm 1 returns them; they may lie in furniture.
@@ -27,7 +27,7 @@ class Viewpoints(NamedTuple):
 def sparse_viewpoints(free: FreeSpace, cell_width: float, rng: np.random.Generator) -> Viewpoints:
     """One random set of viewpoints about `cell_width` apart (Algorithm 1).
 
-    It may be empty, where the cell width is not much smaller than the home.
+    It may be empty, where the cell width is not much smaller than the scene.
 
     A mesh grid of that spacing starts at the lower left of the free space's bounding box and runs along x first. Its
     points on free space, tested before anything is added, are all shifted by one offset drawn from ± cell_width / 2 in

@@ -94,13 +94,13 @@ def build(
         UserError: if the scene is larger than the map, or its mesh and its list of objects do not belong together.
     """
     _check_instances(scene)
-    points = look_points(scene.free_space, spec.spacing)
+    points = panorama_points(scene.free_space, spec.spacing)
     grid = _grid_for(scene, spec)
-    occupied, returns = _look_around(scene, renderer, spec, categories.names, grid, points)
+    occupied, returns = _render_panoramas(scene, renderer, spec, categories.names, grid, points)
     label = np.zeros_like(returns)
     for layer, name in enumerate(categories.names):
-        for thing in scene.of_category(name):
-            window, inside = box_cells(thing.box, grid)
+        for obj in scene.of_category(name):
+            window, inside = box_cells(obj.box, grid)
             label[layer][window] |= inside
     segmented = dilate(returns, kernel_cells(spec.dilation, spec.resolution))
     truth = occupied & label & segmented
@@ -108,7 +108,7 @@ def build(
     return GroundTruth(grid, occupied, label, segmented, truth, points)
 
 
-def look_points(free: FreeSpace, spacing: float) -> Float[np.ndarray, "n 2"]:
+def panorama_points(free: FreeSpace, spacing: float) -> Float[np.ndarray, "n 2"]:
     """World x, y of the points that look around: one in each square of side `spacing` that holds free space.
 
     It is the free cell nearest to the square's centre, so that narrow passages are looked into as well.
@@ -142,7 +142,7 @@ def box_cells(box: OrientedBox, grid: Grid) -> tuple[tuple[slice, slice], Bool[n
 
 
 def _check_instances(scene: Scene) -> None:
-    known = {0, *(thing.instance for thing in scene.objects)}
+    known = {0, *(obj.instance for obj in scene.objects)}
     if unknown := sorted(set(np.unique(scene.mesh.face_instance).tolist()) - known):
         raise UserError(
             f"scene {scene.name}: its mesh has faces of the instances {unknown[:10]}, which scene.objects does not "
@@ -166,10 +166,10 @@ def _reach(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "n 2
     free = scene.free_space
     places = free.grid.to_points(np.argwhere(free.mask))
     centre = (places.min(axis=0) + places.max(axis=0)) / 2
-    return centre, np.concatenate([places, *(thing.box.footprint() for thing in scene.objects)])
+    return centre, np.concatenate([places, *(obj.box.footprint() for obj in scene.objects)])
 
 
-def _look_around(
+def _render_panoramas(
     scene: Scene,
     renderer: SceneRenderer,
     spec: GroundTruthSpec,
@@ -182,7 +182,7 @@ def _look_around(
     returns = np.zeros((len(names), *grid.shape), bool)
     lookup = scene.category_of_instance(names)
     room = Band(0.0, scene.ceiling_height - scene.floor_height)
-    for pose in _looks(points, spec.camera):
+    for pose in _panorama_poses(points, spec.camera):
         camera_to_world = spec.camera.to_world(pose, scene.floor_height)
         image = renderer.render(spec.camera, camera_to_world, colour=False)
         frame = spec.camera, camera_to_world, scene.floor_height
@@ -193,7 +193,7 @@ def _look_around(
     return occupied, returns
 
 
-def _looks(points: Float[np.ndarray, "n 2"], camera: Camera) -> Iterator[Pose]:
+def _panorama_poses(points: Float[np.ndarray, "n 2"], camera: Camera) -> Iterator[Pose]:
     """360 degrees around each point."""
     count = int(np.ceil(2 * np.pi / camera.field_of_view - 1e-6))
     for x, y in points.tolist():
@@ -203,16 +203,16 @@ def _looks(points: Float[np.ndarray, "n 2"], camera: Camera) -> Iterator[Pose]:
 
 def _warn_of_lost(scene: Scene, grid: Grid, names: Sequence[str], truth: Bool[np.ndarray, "c h w"]) -> None:
     for name, layer in zip(names, truth, strict=True):
-        things = scene.of_category(name)
-        lost = [str(thing.instance) for thing in things if not _any_in(layer, thing, grid)]
+        objects = scene.of_category(name)
+        lost = [str(obj.instance) for obj in objects if not _any_in(layer, obj, grid)]
         if lost:
             log.warning(
-                f"scene {scene.name}: {len(lost)} of {len(things)} objects of category {name} have no cell in the "
+                f"scene {scene.name}: {len(lost)} of {len(objects)} objects of category {name} have no cell in the "
                 f"ground truth (instances {', '.join(lost)}): nothing of them was seen between the obstacles' "
                 "heights; `python -m imagination.render` draws every stage"
             )
 
 
-def _any_in(layer: Bool[np.ndarray, "h w"], thing: SceneObject, grid: Grid) -> bool:
-    window, inside = box_cells(thing.box, grid)
+def _any_in(layer: Bool[np.ndarray, "h w"], obj: SceneObject, grid: Grid) -> bool:
+    window, inside = box_cells(obj.box, grid)
     return bool((layer[window] & inside).any())

@@ -24,12 +24,12 @@ EMPTY, FREE, OCCUPIED = (255, 255, 255), (222, 236, 222), (150, 150, 150)
 """Colours of cells, RGB, where no category lies."""
 
 MARGIN = 0.5
-"""Of the map around the home, metres."""
+"""Of the map around the scene, metres."""
 SMALL = 0.35
 """Longest side of objects whose names are left out, metres."""
 
 
-class Look(NamedTuple):
+class LabelledView(NamedTuple):
     """One view and what becomes of it.
 
     Attributes:
@@ -53,7 +53,9 @@ class Look(NamedTuple):
     neighbourhood: Bool[np.ndarray, "v v"]
 
 
-def draw_scene(scene: Scene, truth: GroundTruth, categories: CategoryTable, looks: Sequence[Look]) -> Figure:
+def draw_scene(
+    scene: Scene, truth: GroundTruth, categories: CategoryTable, views: Sequence[LabelledView]
+) -> Figure:
     """Free space with the points that look around, M_occu, and M_gt of all categories with the views drawn below."""
     figure = _figure(13.0, 4.9)
     free, occupied, all_truth = figure.subplots(1, 3)
@@ -65,8 +67,8 @@ def draw_scene(scene: Scene, truth: GroundTruth, categories: CategoryTable, look
     occupied.set_title("M_occu", fontsize=9)
     _show_truth(all_truth, scene, truth, categories)
     all_truth.set_title("M_gt of " + ", ".join(categories.names), fontsize=9)
-    for number, look in enumerate(looks, start=1):
-        x, y, theta = look.pose
+    for number, view in enumerate(views, start=1):
+        x, y, theta = view.pose
         all_truth.annotate(
             "", (x + 0.6 * np.cos(theta), y + 0.6 * np.sin(theta)), (x, y), arrowprops={"arrowstyle": "->"}
         )
@@ -92,50 +94,50 @@ def draw_category(scene: Scene, truth: GroundTruth, categories: CategoryTable, n
     return figure
 
 
-def draw_views(looks: Sequence[Look], ego: EgoGrid) -> Figure:
+def draw_views(views: Sequence[LabelledView], ego: EgoGrid) -> Figure:
     """A row for each view: colour, depth, instances, and the egocentric projection of depth."""
-    figure = _figure(11.0, 2.8 * len(looks))
+    figure = _figure(11.0, 2.8 * len(views))
     palette = np.random.default_rng(3).integers(60, 256, (4096, 3), dtype=np.uint8)
     palette[0] = 235  # the building
-    for number, (row, look) in enumerate(
-        zip(figure.subplots(len(looks), 4, squeeze=False), looks, strict=True), 1
+    for number, (row, view) in enumerate(
+        zip(figure.subplots(len(views), 4, squeeze=False), views, strict=True), 1
     ):
-        row[0].imshow(look.rgb)
+        row[0].imshow(view.rgb)
         row[0].set_title(f"view {number}: RGB", fontsize=9)
-        depth = row[1].imshow(np.where(look.depth > 0, look.depth, np.nan), cmap="viridis_r", vmin=0)
+        depth = row[1].imshow(np.where(view.depth > 0, view.depth, np.nan), cmap="viridis_r", vmin=0)
         row[1].set_title("depth, m", fontsize=9)
         figure.colorbar(depth, ax=row[1], fraction=0.046)
         row[2].imshow(
-            np.where((look.instance < 0)[..., None], np.uint8(0), palette[look.instance % len(palette)])
+            np.where((view.instance < 0)[..., None], np.uint8(0), palette[view.instance % len(palette)])
         )
         row[2].set_title("instances", fontsize=9)
         for axes in row[:3]:
             axes.set_xticks([])
             axes.set_yticks([])
-        image = _paint(look.seen, FREE)
-        image[look.occupied] = 0
+        image = _paint(view.seen, FREE)
+        image[view.occupied] = 0
         _show_ego(row[3], image, ego)
         row[3].set_title("occupied and V_seen", fontsize=9)
     return figure
 
 
-def draw_labels(looks: Sequence[Look], ego: EgoGrid, categories: CategoryTable) -> Figure:
+def draw_labels(views: Sequence[LabelledView], ego: EgoGrid, categories: CategoryTable) -> Figure:
     """A row for each view: V_object, V_object * V_seen, V_filter, V_label and M*_seen over the seen area."""
-    figure = _figure(13.0, 2.9 * len(looks))
-    for number, (row, look) in enumerate(
-        zip(figure.subplots(len(looks), 5, squeeze=False), looks, strict=True), 1
+    figure = _figure(13.0, 2.9 * len(views))
+    for number, (row, view) in enumerate(
+        zip(figure.subplots(len(views), 5, squeeze=False), views, strict=True), 1
     ):
-        category = categories.rows[look.category]
+        category = categories.rows[view.category]
         stages = {
-            f"view {number}: V_object, {category.name}": look.objects,
-            "V_object * V_seen": look.objects & look.seen,
-            "V_filter": look.imaginable,
-            "V_label = V_object * V_filter": look.label,
-            "M*_seen": look.neighbourhood,
+            f"view {number}: V_object, {category.name}": view.objects,
+            "V_object * V_seen": view.objects & view.seen,
+            "V_filter": view.imaginable,
+            "V_label = V_object * V_filter": view.label,
+            "M*_seen": view.neighbourhood,
         }
         for axes, (title, stage) in zip(row, stages.items(), strict=True):
-            image = _paint(look.seen, FREE)
-            image[look.occupied] = OCCUPIED
+            image = _paint(view.seen, FREE)
+            image[view.occupied] = OCCUPIED
             image[stage] = category.colour
             _show_ego(axes, image, ego)
             axes.set_title(title, fontsize=9)
@@ -159,9 +161,9 @@ def _show_map(
     x, y = grid.origin
     extent = (x, x + grid.columns * grid.resolution, y, y + grid.rows * grid.resolution)
     axes.imshow(image, extent=extent, interpolation="nearest")
-    for thing in scene.objects:
-        if thing.category is not None and category in (None, thing.category):
-            axes.add_patch(Polygon(thing.box.footprint(), fill=False, linewidth=0.6))
+    for obj in scene.objects:
+        if obj.category is not None and category in (None, obj.category):
+            axes.add_patch(Polygon(obj.box.footprint(), fill=False, linewidth=0.6))
     low, high = _reach(scene)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m", ylabel="y, m")
 
@@ -182,18 +184,18 @@ def _show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: Catego
 def _reach(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
     """Smallest and largest x, y of what a map shows; a scene that brings its own renderer may have no mesh."""
     places = scene.free_space.grid.to_points(np.argwhere(scene.free_space.mask))
-    boxes = [thing.box.footprint() for thing in scene.objects]
+    boxes = [obj.box.footprint() for obj in scene.objects]
     every = np.concatenate([places, *boxes, scene.mesh.vertices[:, :2]])
     return every.min(axis=0) - MARGIN, every.max(axis=0) + MARGIN
 
 
 def _name_objects(axes: Axes, scene: Scene, points: float) -> None:
     """The label of every object that is not small, at its middle, in letters of so many points."""
-    for thing in scene.objects:
-        if max(thing.box.size[:2]) > SMALL:
-            x, y, _ = thing.box.centre
+    for obj in scene.objects:
+        if max(obj.box.size[:2]) > SMALL:
+            x, y, _ = obj.box.centre
             axes.text(
-                x, y, thing.label.replace("_", "\n"), fontsize=points, ha="center", va="center", clip_on=True
+                x, y, obj.label.replace("_", "\n"), fontsize=points, ha="center", va="center", clip_on=True
             )
 
 

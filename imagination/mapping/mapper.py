@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from imagination.geometry.crop import ego_to_grid
 from imagination.geometry.grid import MAX_CELLS, EgoGrid, Grid
 from imagination.geometry.pose import Pose
-from imagination.mapping.update_rules import Rule
+from imagination.mapping.update_rules import UpdateRule
 from imagination.utils.errors import UserError
 from imagination.utils.jit import compiled
 
@@ -55,7 +55,7 @@ class Mapper:
            [0. , 0. , 0. , 0. , 0. ]], dtype=float32)
     """
 
-    def __init__(self, grid: Grid, ego: EgoGrid, categories: Sequence[str], rule: Rule) -> None:
+    def __init__(self, grid: Grid, ego: EgoGrid, categories: Sequence[str], rule: UpdateRule) -> None:
         if not categories:
             raise UserError("categories: got none, expected the name of at least one layer")
         if not np.isclose(ego.resolution, grid.resolution, rtol=1e-6, atol=0):

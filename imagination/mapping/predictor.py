@@ -25,7 +25,7 @@ RESERVED = ("map", "objects", "occupancy")
 
 
 @dataclass(frozen=True)
-class Description:
+class UnitSpec:
     """What a unit was trained with; part of its file.
 
     Attributes:
@@ -73,7 +73,7 @@ class Description:
         return json.dumps({"version": VERSION, **asdict(self), "obstacles": self.obstacles._asdict(), **more})
 
     @classmethod
-    def from_json(cls, text: str, origin: str) -> "Description":
+    def from_json(cls, text: str, origin: str) -> "UnitSpec":
         """Read a description.
 
         Raises:
@@ -123,13 +123,13 @@ class Observation(NamedTuple):
 class ImaginationModule(Protocol):
     """Trained units, ready to be asked."""
 
-    description: Description
+    spec: UnitSpec
 
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
         """Probabilities of V_object of each category."""
 
 
-class SideBySide:
+class UnitEnsemble:
     """Several modules as one.
 
     Raises:
@@ -138,13 +138,13 @@ class SideBySide:
 
     def __init__(self, modules: Sequence[ImaginationModule]) -> None:
         self.modules = list(modules)
-        self.description = reduce(joined, (module.description for module in modules))
+        self.spec = reduce(joined, (module.spec for module in modules))
 
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
         return np.concatenate([module(observation) for module in self.modules])
 
 
-class Statement(NamedTuple):
+class ViewEvidence(NamedTuple):
     """What views say.
 
     Attributes:
@@ -164,7 +164,7 @@ def valid_imagination(
     threshold: float,
     kernel: float,
     resolution: float,
-) -> Statement:
+) -> ViewEvidence:
     """V_valid = prediction * M*_seen, M*_seen = dilation([prediction >= tau_valid] * V_seen, epsilon).
 
     A view has something to say about the cells it saw, where it denies what is not valid, and about M*_seen.
@@ -177,10 +177,10 @@ def valid_imagination(
         resolution: metres per cell.
     """
     valid = neighbourhood(probabilities >= threshold, seen, kernel_cells(kernel, resolution))
-    return Statement(np.where(valid, probabilities, np.float32(0)), valid | seen, valid & ~seen)
+    return ViewEvidence(np.where(valid, probabilities, np.float32(0)), valid | seen, valid & ~seen)
 
 
-def joined(one: Description, other: Description) -> Description:
+def joined(one: UnitSpec, other: UnitSpec) -> UnitSpec:
     """The description of units side by side.
 
     Raises:

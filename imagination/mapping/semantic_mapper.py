@@ -23,7 +23,7 @@ from imagination.mapping.map_io import LoadedLayer
 from imagination.mapping.mapper import CHUNK, Mapper
 from imagination.mapping.predictor import ImaginationModule, Observation, valid_imagination
 from imagination.mapping.semantic_map import UNKNOWN, Maps
-from imagination.mapping.update_rules import MovingAverage, Rule
+from imagination.mapping.update_rules import MovingAverage, UpdateRule
 from imagination.utils.errors import UserError, check_range
 
 OCCUPANCY = "occupancy"
@@ -105,7 +105,7 @@ class SemanticMapper:
         self,
         module: ImaginationModule,
         camera: RgbdCamera | None = None,
-        rule: Rule | None = None,
+        rule: UpdateRule | None = None,
         grid: Grid | None = None,
         floor_height: float = 0.0,
         frame: str = "map",
@@ -113,23 +113,23 @@ class SemanticMapper:
         start: LoadedLayer | None = None,
         threshold: float | None = None,
     ) -> None:
-        self.module, self.description = module, module.description
-        self.camera = camera or RgbdCamera.of(self.description.camera)
+        self.module, self.spec = module, module.spec
+        self.camera = camera or RgbdCamera.of(self.spec.camera)
         self.floor_height, self.frame, self.limits = floor_height, frame, limits or Limits()
         self.grows, self.frames = grid is None, 0
-        self._thresholds = self.description.thresholds
+        self._thresholds = self.spec.thresholds
         if threshold is not None:
             check_range("threshold", threshold, 0.0, 1.0, open_low=True)
-            self._thresholds = (float(threshold),) * len(self.description.categories)
+            self._thresholds = (float(threshold),) * len(self.spec.categories)
         self._rule, self._start = rule or MovingAverage(), start
-        self._alignment = Alignment(self.camera, self.description.camera)
+        self._alignment = Alignment(self.camera, self.spec.camera)
         self._warned: set[str] = set()
         self._check_intrinsics()
         self._mapper: Mapper | None = None
         if grid is not None:
             self._begin(grid)
         elif start is not None:
-            self._begin(_chunks(self.description.ego.resolution, *_corners(start.grid)))
+            self._begin(_chunks(self.spec.ego.resolution, *_corners(start.grid)))
 
     def update(
         self,
@@ -153,7 +153,7 @@ class SemanticMapper:
             pose = self.camera.to_world(pose, self.floor_height)
         place = Placement.of(pose, self.floor_height)
         self._check_placement(place)
-        known = self.description
+        known = self.spec
         level = known.camera.to_world(Pose(0.0, 0.0, place.pose.theta))
         rgb, depth = self._alignment(rgb, depth, level[:3, :3].T @ pose[:3, :3])
         camera = replace(known.camera, mount_height=place.mount_height)
@@ -183,7 +183,7 @@ class SemanticMapper:
             raise UserError("map: got no frame yet, expected at least one update")
         mapper = self._mapper
         values, written = mapper.probabilities, mapper.written
-        about = mapper.grid, self.frame, self.description.categories, self._thresholds
+        about = mapper.grid, self.frame, self.spec.categories, self._thresholds
         return Maps(*about, values[1:], written[1:], values[0], written[0])
 
     def save(self, folder: str | Path) -> None:
@@ -195,21 +195,21 @@ class SemanticMapper:
         Raises:
             UserError: if there has been no frame yet, or the folder cannot be written.
         """
-        map_io.save_maps(Path(folder), self.maps, self.description.colours)
+        map_io.save_maps(Path(folder), self.maps, self.spec.colours)
 
     def _mapper_at(self, pose: Pose) -> Mapper:
         """The global map, with room for a view from `pose` where it may grow."""
         if self._mapper is None:
             here = np.array([[pose.x, pose.y]])
-            self._begin(_chunks(self.description.ego.resolution, here, here))
+            self._begin(_chunks(self.spec.ego.resolution, here, here))
         assert self._mapper is not None, "it has just begun"
         if self.grows:
             self._mapper.cover(pose)
         return self._mapper
 
     def _begin(self, grid: Grid) -> None:
-        layers = [OCCUPANCY, *self.description.categories]
-        self._mapper = Mapper(grid, self.description.ego, layers, self._rule)
+        layers = [OCCUPANCY, *self.spec.categories]
+        self._mapper = Mapper(grid, self.spec.ego, layers, self._rule)
         if self._start is not None:
             layer = map_io.fit(self._start, grid)
             known = self._start.grid.to_points(np.argwhere(self._start.layer != UNKNOWN))
@@ -223,7 +223,7 @@ class SemanticMapper:
 
     def _check_intrinsics(self) -> None:
         """Compare what the robot's cameras see with what the units' did."""
-        theirs, limits = Intrinsics.of(self.description.camera), self.limits
+        theirs, limits = Intrinsics.of(self.spec.camera), self.limits
         for kind, ours in (("colour", self.camera.colour), ("depth", self.camera.depth)):
             if ours is None:
                 continue
@@ -251,7 +251,7 @@ class SemanticMapper:
 
     def _check_placement(self, place: Placement) -> None:
         """Compare where the camera sits with where the units' did."""
-        theirs = self.description.camera
+        theirs = self.spec.camera
         for name, got, trained, limit, little, unit in (
             (
                 "mount_height",

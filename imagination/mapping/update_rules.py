@@ -15,7 +15,7 @@ from imagination.utils.errors import check_range
 
 
 @runtime_checkable
-class Rule(Protocol):
+class UpdateRule(Protocol):
     """How old and new values become one."""
 
     def __call__(
@@ -97,7 +97,7 @@ class Max:
 
 
 @dataclass(frozen=True)
-class Overwrite:
+class Latest:
     """The latest value."""
 
     def __call__(

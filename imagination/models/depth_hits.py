@@ -10,7 +10,7 @@ from imagination.geometry.grid import EgoGrid
 from imagination.utils.errors import UserError
 
 
-class Returns(nn.Module):
+class DepthHits(nn.Module):
     """A pixel's return is its ray, scaled by its depth, in the robot's frame (docs/conventions.md).
 
     Args:

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
-from imagination.models.depth_hits import Returns
+from imagination.models.depth_hits import DepthHits
 from imagination.utils.errors import UserError, check_range
 
 
@@ -23,14 +23,14 @@ class HeightBands(nn.Module):
         self.heights = list(heights)
         self.count = max(len(heights) - 1, 0)
         self.ego = ego
-        self.returns = Returns(camera, ego)
+        self.depth_hits = DepthHits(camera, ego)
 
     def forward(self, depth: Float16[Tensor, "b 1 h w"]) -> Float[Tensor, "b n v v"]:
         """1 where a return lies between two successive heights, the upper one included, else 0."""
         size, count = self.ego.cells, self.count
         if not count:
             return depth.new_zeros(len(depth), 0, size, size, dtype=torch.float32)
-        cells, height = self.returns(depth, *self._reach())
+        cells, height = self.depth_hits(depth, *self._reach())
         if self.training and self.jitter:
             factor = 1 + self.jitter * (2 * torch.rand(len(height), 1, 1, device=height.device) - 1)
             height = height * factor

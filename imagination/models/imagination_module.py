@@ -43,7 +43,7 @@ class ImaginationModule(Unit):
         """See `Unit`."""
         return torch.cat([unit.logits(rgb, depth, occupied, seen) for unit in self._each()], dim=1)
 
-    def plain(
+    def raw(
         self,
         rgb: UInt8[Tensor, "b 3 h w"],
         depth: Float16[Tensor, "b 1 h w"],
@@ -51,12 +51,12 @@ class ImaginationModule(Unit):
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
         """See `Unit`; each unit looks as often as it is made to."""
-        return torch.cat([unit.plain(rgb, depth, occupied, seen) for unit in self._each()], dim=1)
+        return torch.cat([unit.raw(rgb, depth, occupied, seen) for unit in self._each()], dim=1)
 
-    def finished(self, plain: Float[Tensor, "b c v v"]) -> Float[Tensor, "b c v v"]:
+    def postprocess(self, raw: Float[Tensor, "b c v v"]) -> Float[Tensor, "b c v v"]:
         """See `Unit`; each unit as it is made to."""
-        each = zip(self._each(), torch.split(plain, 1, dim=1), strict=True)
-        return torch.cat([unit.finished(own) for unit, own in each], dim=1)
+        each = zip(self._each(), torch.split(raw, 1, dim=1), strict=True)
+        return torch.cat([unit.postprocess(own) for unit, own in each], dim=1)
 
     def _each(self) -> list[Unit]:
         return [unit for unit in self.units if isinstance(unit, Unit)]

@@ -28,8 +28,8 @@ class ImaginationUnit(Unit):
         ego: grid of the maps.
         heights: bounds of the bands above the floor, ascending, metres; fewer than two give no band.
         height_jitter: while training, the heights in a view are scaled by a random factor of 1 ± this.
-        categories, mirrored_answers: as of every `Unit`.
-        dilated_answers: side of its square, metres.
+        categories, tta_hflip: as of every `Unit`.
+        postprocess_dilation: side of its square, metres.
 
     Raises:
         UserError: if the heights do not ascend or the jitter is out of range.
@@ -44,10 +44,10 @@ class ImaginationUnit(Unit):
         heights: Sequence[float],
         height_jitter: float,
         categories: Sequence[str],
-        mirrored_answers: bool = False,
-        dilated_answers: float = 0.0,
+        tta_hflip: bool = False,
+        postprocess_dilation: float = 0.0,
     ) -> None:
-        super().__init__(categories, mirrored_answers, window_cells(dilated_answers, ego))
+        super().__init__(categories, tta_hflip, window_cells(postprocess_dilation, ego))
         self.encoder = encoder
         self.bands = HeightBands(camera, ego, heights, height_jitter)
         self.backbone = backbone(in_channels=2 + self.bands.count, image_channels=encoder.channels)

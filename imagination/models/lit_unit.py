@@ -12,9 +12,9 @@ from torch.optim.lr_scheduler import LRScheduler
 
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import kernel_cells
-from imagination.models.losses import Loss
 from imagination.models.ego_metrics import THRESHOLDS, EgoScores, best_thresholds, named_scores
-from imagination.models.unit import Answers, Unit
+from imagination.models.losses import Loss
+from imagination.models.unit import Prediction, Unit
 from imagination.utils.errors import UserError, check_range
 from imagination.utils.process_group import sum_over_ranks
 
@@ -24,7 +24,7 @@ neighbourhood (M*_seen made from the truth) uint8 (B, C, V, V); counts int64 (3,
 `batch_counts`. Further entries are left alone."""
 
 
-class UnitTraining(LightningModule):
+class LitUnit(LightningModule):
     """Trains a unit and scores its egocentric maps.
 
     Args:
@@ -76,16 +76,16 @@ class UnitTraining(LightningModule):
         return logits
 
     @torch.no_grad()
-    def predict(self, batch: Batch) -> Answers:
+    def predict(self, batch: Batch) -> Prediction:
         """Probabilities of V_object for a batch on any device, as in evaluation mode and in single precision."""
         training = self.training
         self.eval()
         views = [batch[name].to(self.device) for name in ("rgb", "depth", "occupied", "seen")]
         # a plugin's unit may be any module
-        plain = self.unit.plain(*views) if isinstance(self.unit, Unit) else self.unit(*views)
-        maps = self.unit.finished(plain) if isinstance(self.unit, Unit) else plain
+        raw = self.unit.raw(*views) if isinstance(self.unit, Unit) else self.unit(*views)
+        maps = self.unit.postprocess(raw) if isinstance(self.unit, Unit) else raw
         self.train(training)
-        return Answers(maps.float().sigmoid(), plain.float().sigmoid())
+        return Prediction(maps.float().sigmoid(), raw.float().sigmoid())
 
     def setup(self, stage: str) -> None:
         if stage != "fit":

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from imagination.utils.errors import check_range
-from imagination.utils.process_group import ranks, sum_over_ranks
+from imagination.utils.process_group import sum_over_ranks, world_size
 
 
 class Result(NamedTuple):
@@ -101,14 +101,14 @@ class BCEDice:
         target = (label > 0).float()
         views = sum_over_ranks(torch.tensor(float(len(label)), device=label.device))
         total = binary_cross_entropy_with_logits(logits.float(), target, reduction="sum")
-        bce = total * ranks() / (views * label.shape[-2] * label.shape[-1])
+        bce = total * world_size() / (views * label.shape[-2] * label.shape[-1])
         imagined = logits.float().sigmoid()
         both, either = (
             with_other_ranks(cells.sum(dim=(0, 2, 3))) for cells in (imagined * target, imagined + target)
         )
         dice = (1 - 2 * (both + 1) / (either + 2)).sum()
         # every rank has the whole batch's dice, but gradients of its own views alone; the mean over ranks has all
-        loss = bce + dice + (ranks() - 1) * (dice - dice.detach())
+        loss = bce + dice + (world_size() - 1) * (dice - dice.detach())
         return Result(loss, {"bce": bce.detach(), "dice": dice.detach()})
 
 
@@ -171,7 +171,7 @@ def imagination_loss(
     weight = (w_alpha - 1).view(-1, 1, 1) * positive + (w_gamma - 1).view(-1, 1, 1) * around + 1
     total = binary_cross_entropy_with_logits(logits.float(), positive.float(), weight, reduction="sum")
     # each rank divides by its share of all views, so that the mean over ranks is the mean over views
-    return total * ranks() / views[0], Weights(w_alpha, w_gamma)
+    return total * world_size() / views[0], Weights(w_alpha, w_gamma)
 
 
 def batch_counts(

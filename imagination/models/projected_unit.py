@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.models.backbones import Backbone, Convolution
-from imagination.models.depth_hits import Returns
+from imagination.models.depth_hits import DepthHits
 from imagination.models.encoders import TimmEncoder
 from imagination.models.resizing import resize
 from imagination.models.unit import Unit, prediction_head, window_cells
@@ -29,8 +29,8 @@ class ProjectedUnit(Unit):
         ego: grid of the maps.
         max_height: metres above the floor; higher returns, of lamps and ceilings, are left out.
         width: channels of the image features that are carried over.
-        categories, mirrored_answers: as of every `Unit`.
-        dilated_answers: side of its square, metres.
+        categories, tta_hflip: as of every `Unit`.
+        postprocess_dilation: side of its square, metres.
     """
 
     def __init__(
@@ -42,10 +42,10 @@ class ProjectedUnit(Unit):
         max_height: float,
         width: int,
         categories: Sequence[str],
-        mirrored_answers: bool = False,
-        dilated_answers: float = 0.0,
+        tta_hflip: bool = False,
+        postprocess_dilation: float = 0.0,
     ) -> None:
-        super().__init__(categories, mirrored_answers, window_cells(dilated_answers, ego))
+        super().__init__(categories, tta_hflip, window_cells(postprocess_dilation, ego))
         self.encoder = encoder
         self.reduce = Convolution(encoder.channels, width, kernel=1)
         self.projection = Projection(camera, ego, max_height)
@@ -73,7 +73,7 @@ class Projection(nn.Module):
         super().__init__()
         self.ego = ego
         self.max_height = max_height
-        self.returns = Returns(camera, ego)
+        self.depth_hits = DepthHits(camera, ego)
 
     def forward(
         self, image: Float[Tensor, "b c h w"], depth: Float16[Tensor, "b 1 h w"]
@@ -88,7 +88,7 @@ class Projection(nn.Module):
             UserError: if the images are not of the camera's size.
         """
         batch, channels = image.shape[:2]
-        cells, height = self.returns(depth, -inf, self.max_height)
+        cells, height = self.depth_hits(depth, -inf, self.max_height)
         values = torch.cat([image.float(), height[:, None], torch.ones_like(height)[:, None]], dim=1)
         rows = values.permute(0, 2, 3, 1).reshape(-1, channels + 2)
         # one row a cell, and a last one for the returns that lie in none

@@ -1,11 +1,11 @@
-"""The learning rate over the rounds."""
+"""The learning rate over the epochs."""
 
 from torch import Tensor
 from torch.optim.lr_scheduler import CosineAnnealingLR
 
 
 class CosineAnnealing(CosineAnnealingLR):
-    """Cosine annealing that stays at its end: a run that goes on for more rounds than planned keeps the final rate.
+    """Cosine annealing that stays at its end: a run that goes on for more epochs than planned keeps the final rate.
 
     PyTorch's own rises again after T_max.
     """

@@ -17,7 +17,7 @@ PRIOR = 0.05
 """What an untrained unit answers about every cell: objects are rare, so training need not first learn that."""
 
 
-class Answers(NamedTuple):
+class Prediction(NamedTuple):
     """Probabilities of V_object.
 
     Attributes:
@@ -26,29 +26,29 @@ class Answers(NamedTuple):
     """
 
     maps: Float[Tensor, "b c v v"]
-    plain: Float[Tensor, "b c v v"]
+    raw: Float[Tensor, "b c v v"]
 
 
 class Unit(nn.Module, ABC):
     """What every unit is: one camera image and its depth in, logits of the egocentric maps of some categories out.
 
-    A home in a mirror is a home too, so a unit may answer, outside training, with the mean of what it says of the view
+    A scene in a mirror is a scene too, so a unit may answer, outside training, with the mean of what it says of the view
     and of the view in a mirror; the paper's units look once. Nothing in the truth is thin, boxes that are filled, so
     its answers may be averaged and dilated over a window; the paper's units answer cell by cell.
 
     Args:
         categories: what to imagine, one map each; the paper has one unit for each category.
-        mirrored_answers: whether to look twice, outside training.
-        dilated_answers: cells a side of the window outside training, an odd number; 1 for none.
+        tta_hflip: whether to look twice, outside training.
+        postprocess_dilation: cells a side of the window outside training, an odd number; 1 for none.
     """
 
     def __init__(
-        self, categories: Sequence[str], mirrored_answers: bool = False, dilated_answers: int = 1
+        self, categories: Sequence[str], tta_hflip: bool = False, postprocess_dilation: int = 1
     ) -> None:
         super().__init__()
         self.categories = list(categories)
-        self.mirrored_answers = mirrored_answers
-        self.dilated_answers = dilated_answers
+        self.tta_hflip = tta_hflip
+        self.postprocess_dilation = postprocess_dilation
 
     def forward(
         self,
@@ -66,9 +66,9 @@ class Unit(nn.Module, ABC):
         """
         if self.training:
             return self.logits(rgb, depth, occupied, seen)
-        return self.finished(self.plain(rgb, depth, occupied, seen))
+        return self.postprocess(self.raw(rgb, depth, occupied, seen))
 
-    def plain(
+    def raw(
         self,
         rgb: UInt8[Tensor, "b 3 h w"],
         depth: Float16[Tensor, "b 1 h w"],
@@ -77,14 +77,14 @@ class Unit(nn.Module, ABC):
     ) -> Float[Tensor, "b c v v"]:
         """What `forward` gives outside training, before it is averaged and dilated."""
         logits = self.logits(rgb, depth, occupied, seen)
-        if self.mirrored_answers:
+        if self.tta_hflip:
             mirrored = self.logits(*(view.flip(-1) for view in (rgb, depth, occupied, seen)))
             logits = (logits + mirrored.flip(-1)) / 2
         return logits
 
-    def finished(self, plain: Float[Tensor, "b c v v"]) -> Float[Tensor, "b c v v"]:
+    def postprocess(self, raw: Float[Tensor, "b c v v"]) -> Float[Tensor, "b c v v"]:
         """What `forward` makes of `plain`."""
-        return smoothed_and_dilated(plain, self.dilated_answers)
+        return smoothed_and_dilated(raw, self.postprocess_dilation)
 
     @abstractmethod
     def logits(
@@ -104,7 +104,9 @@ def window_cells(size: float, ego: EgoGrid) -> int:
     [1, 3, 3, 5]
     """
     return (
-        2 * (kernel_cells(check_range("scale.dilated_answers", size, 0.0, 2.0, "m"), ego.resolution) // 2) + 1
+        2
+        * (kernel_cells(check_range("scale.postprocess_dilation", size, 0.0, 2.0, "m"), ego.resolution) // 2)
+        + 1
     )
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from imagination.recordings.trajectory import Stamp, Trajectory
 from imagination.utils.errors import UserError
 
-MOST_FRAMES = 10_000
+MAX_FRAMES = 10_000
 """In a tree of frames: trackers name new ones for ever."""
 
 
@@ -48,8 +48,8 @@ class Transforms:
             )
         if child == parent or child in self.ancestors(parent):
             raise UserError(f"tf: frame {child!r} is its own ancestor")
-        if child not in self._parents and len(self._parents) == MOST_FRAMES:
-            raise UserError(f"tf: got frame {child!r} beside {MOST_FRAMES} others, expected at most as many")
+        if child not in self._parents and len(self._parents) == MAX_FRAMES:
+            raise UserError(f"tf: got frame {child!r} beside {MAX_FRAMES} others, expected at most as many")
         self._parents[child] = parent
         if fixed:
             self._fixed[child] = matrix

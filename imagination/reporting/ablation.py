@@ -11,7 +11,7 @@ from imagination.evaluation.single_views import ranked_by
 from imagination.reporting.content import Content, Drawing, Plain, Section, as_yaml, facts, trainings
 from imagination.reporting.figures.scores import Point, draw_ablation
 from imagination.reporting.load_run import Results, Runs
-from imagination.reporting.load_sweep import Member, Multirun
+from imagination.reporting.load_sweep import Job, Multirun
 from imagination.reporting.paper_layout import Cell, Column, Layout, Line, bootstrap, cell_of
 from imagination.reporting.style import label
 from imagination.utils.tabular import read_yaml
@@ -19,21 +19,21 @@ from imagination.utils.tabular import read_yaml
 
 def of_multirun(sweep: Multirun) -> Content:
     """Everything that a sweep has to tell."""
-    measured = [member for member in sweep.read if member.results and member.results.counts]
+    measured = [job for job in sweep.read if job.results and job.results.counts]
     first = _results([*measured, *sweep.read][0])
     problems = [
-        f"member {member.number} ({_told(sweep.values(member))}) is {member.state}: {member.reason}"
-        for member in sweep.members
-        if member.state != "complete"
+        f"member {job.number} ({_told(sweep.values(job))}) is {job.state}: {job.reason}"
+        for job in sweep.jobs
+        if job.state != "complete"
     ]
     keys = ", ".join(sweep.swept) or "nothing"
-    done = sum(member.state == "complete" for member in sweep.members)
-    told = [("Swept", keys), ("Members", f"{len(sweep.members)}, {done} complete"), *facts(first)[1:]]
+    done = sum(job.state == "complete" for job in sweep.jobs)
+    told = [("Swept", keys), ("Members", f"{len(sweep.jobs)}, {done} complete"), *facts(first)[1:]]
     sections = [Section("Members", plain=(Plain("What was swept, and what came of it", _rows(sweep)),))]
     if measured and sweep.swept:
         sections.append(Section(
             "Ablation",
-            f"Pooled IoU with {CONFIDENCE:.0%} intervals over homes.",
+            f"Pooled IoU with {CONFIDENCE:.0%} intervals over scenes.",
             layouts=tuple(_layouts(sweep, measured)),
             drawings=tuple(_drawings(sweep, measured)),
         ))  # fmt: skip
@@ -51,11 +51,11 @@ def of_multirun(sweep: Multirun) -> Content:
 def _rows(sweep: Multirun) -> list[dict[str, str]]:
     return [
         {"member": each.number, **sweep.values(each), "state": each.state, "reason": each.reason}
-        for each in sweep.members
+        for each in sweep.jobs
     ]
 
 
-def _layouts(sweep: Multirun, measured: Sequence[Member]) -> Iterator[Layout]:
+def _layouts(sweep: Multirun, measured: Sequence[Job]) -> Iterator[Layout]:
     """One table, a block for each approach and a line for each member."""
     every = [key for each in measured for key in _results(each).counts]
     widths = sorted({key.cell_width for key in every}, reverse=True)
@@ -72,8 +72,8 @@ def _layouts(sweep: Multirun, measured: Sequence[Member]) -> Iterator[Layout]:
         ]
         blocks.append((label(approach), _best_validated(measured, approach, columns, lines)))
     note = (
-        "Pooled over runs, with intervals over homes; of each block and category what was best on validation homes is "
-        "bold, since test homes choose nothing."
+        "Pooled over runs, with intervals over scenes; of each block and category what was best on validation scenes is "
+        "bold, since test scenes choose nothing."
     )
     if any(len(_truths(measured, at)) > 1 for at in columns):
         note += (
@@ -83,9 +83,9 @@ def _layouts(sweep: Multirun, measured: Sequence[Member]) -> Iterator[Layout]:
 
 
 def _best_validated(
-    measured: Sequence[Member], approach: str, columns: Sequence[Column], lines: Sequence[Line]
+    measured: Sequence[Job], approach: str, columns: Sequence[Column], lines: Sequence[Line]
 ) -> list[Line]:
-    """Lines with the member in bold whose IoU on validation homes is highest, unless all are equal or truths differ."""
+    """Lines with the member in bold whose IoU on validation scenes is highest, unless all are equal or truths differ."""
     changed = [list(line.cells) for line in lines]
     for place, at in enumerate(columns):
         found = [_results(each).validated.get((approach, at.category)) for each in measured]
@@ -99,8 +99,8 @@ def _best_validated(
     return [line._replace(cells=cells) for line, cells in zip(lines, changed, strict=True)]
 
 
-def _truths(measured: Sequence[Member], at: Column) -> set[tuple[tuple[str, int], ...]]:
-    """What members are measured against in a column: the pixels of truth of each home."""
+def _truths(measured: Sequence[Job], at: Column) -> set[tuple[tuple[str, int], ...]]:
+    """What members are measured against in a column: the pixels of truth of each scene."""
     found = set()
     for each in measured:
         runs = [
@@ -109,11 +109,13 @@ def _truths(measured: Sequence[Member], at: Column) -> set[tuple[tuple[str, int]
             if (key.cell_width, key.category) == (at.cell_width, at.category)
         ]
         if runs:
-            found.add(tuple(sorted({home: int(pixels[2]) for (home, _), pixels in runs[0].items()}.items())))
+            found.add(
+                tuple(sorted({scene: int(pixels[2]) for (scene, _), pixels in runs[0].items()}.items()))
+            )
     return found
 
 
-def _drawings(sweep: Multirun, measured: Sequence[Member]) -> Iterator[Drawing]:
+def _drawings(sweep: Multirun, measured: Sequence[Job]) -> Iterator[Drawing]:
     """A figure for each category and each key that was swept.
 
     Lines are approaches where one key was swept, else what else was swept, for the approach that ranks.
@@ -140,7 +142,7 @@ def _drawings(sweep: Multirun, measured: Sequence[Member]) -> Iterator[Drawing]:
         )
 
 
-def _panels(measured: Sequence[Member]) -> dict[str, float | None]:
+def _panels(measured: Sequence[Job]) -> dict[str, float | None]:
     """Cell widths that all members have; where they have none in common, all widths of each together."""
     sets = [{key.cell_width for key in _results(each).counts} for each in measured]
     common = sorted(set.intersection(*sets), reverse=True)
@@ -149,7 +151,7 @@ def _panels(measured: Sequence[Member]) -> dict[str, float | None]:
 
 def _lines(
     sweep: Multirun,
-    measured: Sequence[Member],
+    measured: Sequence[Job],
     key: str,
     category: str,
     approaches: Sequence[str],
@@ -168,9 +170,9 @@ def _cell(results: Results, approach: str, category: str, width: float | None) -
     if width is not None:
         return cell_of(results, Key(approach, category, width), "iou")
     runs: Runs = {
-        (home, number + 1000 * place): pixels
+        (scene, number + 1000 * place): pixels
         for place, at in enumerate(results.cell_widths)
-        for (home, number), pixels in results.counts.get(Key(approach, category, at), {}).items()
+        for (scene, number), pixels in results.counts.get(Key(approach, category, at), {}).items()
     }
     if not runs:
         return None
@@ -178,7 +180,7 @@ def _cell(results: Results, approach: str, category: str, width: float | None) -
     return Cell(value, *interval(samples))
 
 
-def _results(each: Member) -> Results:
+def _results(each: Job) -> Results:
     assert each.results is not None
     return each.results
 

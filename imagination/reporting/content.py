@@ -9,29 +9,29 @@ from typing import NamedTuple
 import yaml
 from matplotlib.figure import Figure
 
-from imagination.evaluation.records import HOMES
+from imagination.evaluation.records import SCENES
 from imagination.evaluation.single_views import CELLS, FILE, MIN_LABEL, TABLE, ranked_by
 from imagination.reporting import paper_layout, training_curves
 from imagination.reporting.figures import maps
 from imagination.reporting.figures.curves import draw_curves
 from imagination.reporting.figures.scores import draw_distribution, draw_precision_recall, draw_reliability
 from imagination.reporting.figures.views import draw_singles
-from imagination.reporting.load_run import Results, Row, Tally, missing_maps
+from imagination.reporting.load_run import ConfusionCounts, Results, Row, missing_maps
 from imagination.reporting.paper_layout import Layout
 from imagination.reporting.style import MEANINGS, label
 from imagination.runs import sweep_jobs
 
-TOLD = ("mapping.csv", "paired.csv", "runs.csv", HOMES, TABLE)
+TOLD = ("mapping.csv", "paired.csv", "trials.csv", SCENES, TABLE)
 """Tables that other parts of the report are made of."""
 
 TITLES = {
-    "ego.csv": "Single views of test homes: the unit's scores",
+    "ego.csv": "Single views of test scenes: the unit's scores",
     "training.csv": "Networks: what they were trained on, and how well they do on single views",
-    "furniture.csv": "Homes with known and with unseen furniture",
+    "furniture.csv": "Scenes with known and with unseen furniture",
 }
 """Of further tables; others go by their file's name."""
 
-MOST_ROWS = 200
+MAX_ROWS = 200
 """Of a further table; longer ones stay in their files."""
 
 
@@ -92,7 +92,7 @@ def of_run(results: Results) -> Content:
         Section("Global maps", layouts=tuple(paper_layout.tables(results)), plain=tuple(_meanings(results))),
         Section(
             "Distributions over runs",
-            "A run is one home and viewpoint set. Boxes span the quartiles, whiskers reach the last run within "
+            "A run is one scene and viewpoint set. Boxes span the quartiles, whiskers reach the last run within "
             "1.5 times that, dots are runs.",
             drawings=tuple(_distributions(results)),
         ),
@@ -100,7 +100,7 @@ def of_run(results: Results) -> Content:
         Section("Single predictions", _ranking(results), drawings=tuple(_singles(results))),
         Section(
             "Precision, recall and reliability",
-            "Rings mark the thresholds chosen on validation homes. Cells with a score below .01 are left out of "
+            "Rings mark the thresholds chosen on validation scenes. Cells with a score below .01 are left out of "
             "reliability.",
             drawings=tuple(_scores(results)),
         ),
@@ -117,7 +117,7 @@ def facts(results: Results) -> list[tuple[str, str]]:
     found = {
         "Folder": str(results.folder),
         "Categories": ", ".join(map(str, config.get("unit_categories") or [])),
-        "Homes": f"{results.source}, {len(results.homes)} of the test split",
+        "Scenes": f"{results.source}, {len(results.scenes)} of the test split",
         "Resolution": f"{results.resolution:g} m per cell",
         "Approaches left out": ", ".join(results.left_out) if results.counts else "",
         "Seed": str(config.get("seed", "?")),
@@ -195,7 +195,7 @@ def _maps(results: Results) -> Iterator[Drawing]:
             )
     yield Drawing(
         "viewpoints",
-        "Sparse viewpoints (Algorithm 1) and the headings taken there, on the map of the home with most of them.",
+        "Sparse viewpoints (Algorithm 1) and the headings taken there, on the map of the scene with most of them.",
         partial(maps.draw_viewpoints, results.maps),
         wide=True,
     )
@@ -206,7 +206,7 @@ def _ranking(results: Results) -> str:
     if not views:
         return ""
     return (
-        f"The best, the median and the worst view of the test homes by IoU of "
+        f"The best, the median and the worst view of the test scenes by IoU of "
         f"{label(ranked_by(list(views[0].predicted)))} with V_label, among views with at least "
         f"{MIN_LABEL:g} m² of label; of equals that with the most. Each approach draws from this view alone, with the "
         "threshold of its global map. The triangle is the robot, looking up."
@@ -237,9 +237,15 @@ def _scores(results: Results) -> Iterator[Drawing]:
             for layer, category in enumerate(first.categories)
         }
     pooled, views = maps.tallies(results.maps), results.view_tallies
-    of_views = {(name, of): tally for (name, part, of), tally in views.items() if part == "all"}
-    by_approach = {key: tally for key, tally in of_views.items() if key[0] != "network"}
-    network = {(part, of): tally for (name, part, of), tally in views.items() if name == "network"}
+    of_views = {
+        (name, of): confusion_counts for (name, part, of), confusion_counts in views.items() if part == "all"
+    }
+    by_approach = {key: confusion_counts for key, confusion_counts in of_views.items() if key[0] != "network"}
+    network = {
+        (part, of): confusion_counts
+        for (name, part, of), confusion_counts in views.items()
+        if name == "network"
+    }
     for stem, what, tallies in (("maps", "global maps", pooled), ("views", "single views", by_approach)):
         for category, lines in _by_category(tallies).items():
             thresholds = {name: value for (name, of), value in chosen.items() if of == category}
@@ -263,10 +269,10 @@ def _scores(results: Results) -> Iterator[Drawing]:
         )
 
 
-def _by_category(tallies: Mapping[tuple[str, str], Tally]) -> dict[str, dict[str, Tally]]:
-    found: dict[str, dict[str, Tally]] = {}
-    for (name, category), tally in tallies.items():
-        found.setdefault(category, {})[name] = tally
+def _by_category(tallies: Mapping[tuple[str, str], ConfusionCounts]) -> dict[str, dict[str, ConfusionCounts]]:
+    found: dict[str, dict[str, ConfusionCounts]] = {}
+    for (name, category), confusion_counts in tallies.items():
+        found.setdefault(category, {})[name] = confusion_counts
     return found
 
 
@@ -299,5 +305,5 @@ def _further(results: Results) -> Iterator[Plain]:
         made = path.name.startswith(("iou", "correct_pixels.", "paired_"))  # by an earlier report
         if path.name not in TOLD and not made:
             rows = results.table(path.name)
-            if 0 < len(rows) <= MOST_ROWS:
+            if 0 < len(rows) <= MAX_ROWS:
                 yield Plain(TITLES.get(path.name, path.name), rows)

@@ -1,4 +1,4 @@
-"""What a results folder holds: counts of every run, read from tables/runs.csv or recounted from the saved maps."""
+"""What a results folder holds: counts of every run, read from tables/trials.csv or recounted from the saved maps."""
 
 import json
 import logging
@@ -14,11 +14,11 @@ from jaxtyping import Int64
 
 from imagination.evaluation import saved_maps, single_views
 from imagination.evaluation.metrics import count
-from imagination.evaluation.records import HOMES, Key
+from imagination.evaluation.records import SCENES, Key
 from imagination.evaluation.saved_maps import SavedMaps
 from imagination.evaluation.single_views import SingleView
 from imagination.evaluation.threshold_selection import THRESHOLDS
-from imagination.evaluation.trials import Run
+from imagination.evaluation.trials import Trial
 from imagination.reporting.mapping_report import PROVENANCE
 from imagination.reporting.saved_config import at, check_number, read_config
 from imagination.runs.folder import CONFIG
@@ -27,21 +27,21 @@ from imagination.utils.tabular import read_csv
 
 log = logging.getLogger(__name__)
 
-MOST_RESAMPLES = 100_000
+MAX_RESAMPLES = 100_000
 """Beyond, intervals no longer change, and take long."""
 
-MOST_NAMED = 60
-"""Homes that are missing; a study of the paper's size has as many."""
+MAX_NAMED = 60
+"""Scenes that are missing; a study of the paper's size has as many."""
 
-MOST_PIXELS = 10**12
+MAX_PIXELS = 10**12
 """Of a count: sums of many stay exact."""
 
 Row = dict[str, str]
 
 Runs = dict[tuple[str, int], Int64[np.ndarray, "3"]]
-"""Correct, false and truth pixels by home and viewpoint set."""
+"""Correct, false and truth pixels by scene and viewpoint set."""
 
-Tally = Int64[np.ndarray, "t 3"]
+ConfusionCounts = Int64[np.ndarray, "t 3"]
 """Correct, false and truth cells at thresholds .01, .02, … .99."""
 
 
@@ -69,7 +69,7 @@ class Results:
     @property
     def source(self) -> str:
         """Name of the scene source's class."""
-        return str(at(self.config, "data.scenes._target_") or "homes").rpartition(".")[2]
+        return str(at(self.config, "data.scenes._target_") or "scenes").rpartition(".")[2]
 
     @property
     def predicts(self) -> str:
@@ -77,9 +77,9 @@ class Results:
         return str(at(self.config, "model.predicts") or "")
 
     @property
-    def homes(self) -> list[str]:
-        """Names of the homes that anything was measured in."""
-        return list(dict.fromkeys(home for runs in self.counts.values() for home, _ in runs))
+    def scenes(self) -> list[str]:
+        """Names of the scenes that anything was measured in."""
+        return list(dict.fromkeys(scene for runs in self.counts.values() for scene, _ in runs))
 
     @property
     def resolution(self) -> float:
@@ -88,8 +88,8 @@ class Results:
 
     @property
     def resamples(self) -> int:
-        """Bootstrap resamples of homes."""
-        return min(int(at(self.config, "evaluation.resamples") or 2000), MOST_RESAMPLES)
+        """Bootstrap resamples of scenes."""
+        return min(int(at(self.config, "evaluation.resamples") or 2000), MAX_RESAMPLES)
 
     @property
     def seed(self) -> int:
@@ -102,20 +102,20 @@ class Results:
         found = self._from_table()
         if not found and self.maps:
             self.problems.append(
-                f"tables/runs.csv is missing: counted again from the maps saved so far, of {self._homes_so_far()}"
+                f"tables/trials.csv is missing: counted again from the maps saved so far, of {self._homes_so_far()}"
             )
             found = recount(self.maps)
         elif not found:
-            self.problems.append("tables/runs.csv is missing: the evaluation has not ended, or failed")
+            self.problems.append("tables/trials.csv is missing: the evaluation has not ended, or failed")
         self.problems += missing_runs(found, self.config)
         return found
 
     @cached_property
     def maps(self) -> list[SavedMaps]:
-        """The saved maps of all runs, by home, cell width (widest first) and viewpoint set."""
+        """The saved maps of all runs, by scene, cell width (widest first) and viewpoint set."""
         paths = sorted((self.folder / saved_maps.FOLDER).glob("*.npz"))
         loaded = [maps for path in paths if (maps := self._tell(saved_maps.load, path)) is not None]
-        return sorted(loaded, key=lambda maps: (maps.run.home, -maps.run.cell_width, maps.run.number))
+        return sorted(loaded, key=lambda maps: (maps.trial.scene, -maps.trial.cell_width, maps.trial.number))
 
     @cached_property
     def singles(self) -> tuple[list[SingleView], float]:
@@ -124,7 +124,7 @@ class Results:
         return (path.is_file() and self._tell(single_views.load, path)) or ([], self.resolution)
 
     @cached_property
-    def view_tallies(self) -> dict[tuple[str, str, str], Tally]:
+    def view_tallies(self) -> dict[tuple[str, str, str], ConfusionCounts]:
         """Counts of single views at every threshold, by approach (or "network"), kind of cells and category."""
         path = self.folder / "tables" / single_views.TABLE
         return (path.is_file() and self._tell(read_tallies, path)) or {}
@@ -137,7 +137,7 @@ class Results:
 
     @cached_property
     def validated(self) -> dict[tuple[str, str], float]:
-        """Pooled IoU on validation homes of each approach and category, by which its threshold was chosen."""
+        """Pooled IoU on validation scenes of each approach and category, by which its threshold was chosen."""
         path = self.folder / "tables" / "mapping.csv"
         return (path.is_file() and self._tell(read_validated, path)) or {}
 
@@ -184,15 +184,15 @@ class Results:
         return sorted({key.cell_width for key in self.counts}, reverse=True)
 
     def _homes_so_far(self) -> str:
-        """How many homes have maps, of how many that were to be measured, and which have none."""
-        there = {saved.run.home for saved in self.maps}
-        asked = [row["home"] for row in self.table(HOMES) if "home" in row]
-        if not (lost := [home for home in asked if home not in there]):
-            return f"{len(there)} homes"
-        return f"{len(there)} of {len(asked)} homes; missing: {first_of(lost, MOST_NAMED)}"
+        """How many scenes have maps, of how many that were to be measured, and which have none."""
+        there = {saved.trial.scene for saved in self.maps}
+        asked = [row["scene"] for row in self.table(SCENES) if "scene" in row]
+        if not (lost := [scene for scene in asked if scene not in there]):
+            return f"{len(there)} scenes"
+        return f"{len(there)} of {len(asked)} scenes; missing: {first_of(lost, MAX_NAMED)}"
 
     def _from_table(self) -> dict[Key, Runs]:
-        path = self.folder / "tables" / "runs.csv"
+        path = self.folder / "tables" / "trials.csv"
         return (path.is_file() and self._tell(read_counts, path)) or {}
 
     def _tell(self, read: Any, path: Path) -> Any:
@@ -205,7 +205,7 @@ class Results:
 
 
 def read_counts(path: Path) -> dict[Key, Runs]:
-    """The counts in a runs.csv.
+    """The counts in a trials.csv.
 
     Raises:
         ValueError: if they are none.
@@ -214,11 +214,11 @@ def read_counts(path: Path) -> dict[Key, Runs]:
     for row in read_csv(path):
         key = Key(row["approach"], row["category"], _width(row))
         pixels = _counts(row, "pixels")
-        counts.setdefault(key, {})[row["home"], int(row["viewpoint_set"])] = np.array(pixels, np.int64)
+        counts.setdefault(key, {})[row["scene"], int(row["viewpoint_set"])] = np.array(pixels, np.int64)
     return counts
 
 
-def read_tallies(path: Path) -> dict[tuple[str, str, str], Tally]:
+def read_tallies(path: Path) -> dict[tuple[str, str, str], ConfusionCounts]:
     """The counts in a thresholds.csv.
 
     Raises:
@@ -246,7 +246,7 @@ def read_by_cells(path: Path) -> dict[Key, tuple[float, float]]:
 
 
 def read_validated(path: Path) -> dict[tuple[str, str], float]:
-    """IoU on validation homes in a mapping.csv.
+    """IoU on validation scenes in a mapping.csv.
 
     Raises:
         ValueError: if it is none.
@@ -261,7 +261,7 @@ def _width(row: Row) -> float:
 def _counts(row: Row, what: str) -> list[int]:
     """Correct, false and truth pixels or cells of a row."""
     correct, false, truth = found = [int(row[f"{name}_{what}"]) for name in ("correct", "false", "truth")]
-    if not (0 <= correct <= truth <= MOST_PIXELS and 0 <= false <= MOST_PIXELS):
+    if not (0 <= correct <= truth <= MAX_PIXELS and 0 <= false <= MAX_PIXELS):
         raise ValueError(f"got {correct} correct, {false} false and {truth} truth {what}")
     return found
 
@@ -274,18 +274,18 @@ def recount(maps: Sequence[SavedMaps]) -> dict[Key, Runs]:
         for place, approach in enumerate(saved.approaches):
             for layer, category in enumerate(saved.categories):
                 if saved.present[layer]:
-                    key = Key(approach, category, saved.run.cell_width)
+                    key = Key(approach, category, saved.trial.cell_width)
                     pixels = count(predicted[place, layer], saved.truth[layer])
-                    counts.setdefault(key, {})[saved.run.home, saved.run.number] = pixels
+                    counts.setdefault(key, {})[saved.trial.scene, saved.trial.number] = pixels
     return counts
 
 
-def by_home(runs: Runs) -> Int64[np.ndarray, "homes 1 3"]:
-    """Counts summed over the viewpoint sets of each home: what pooled figures and the bootstrap need."""
-    homes: dict[str, np.ndarray] = {}
-    for (home, _), pixels in runs.items():
-        homes[home] = homes.get(home, np.zeros(3, np.int64)) + pixels
-    return np.stack(list(homes.values()))[:, None]
+def by_home(runs: Runs) -> Int64[np.ndarray, "scenes 1 3"]:
+    """Counts summed over the viewpoint sets of each scene: what pooled figures and the bootstrap need."""
+    scenes: dict[str, np.ndarray] = {}
+    for (scene, _), pixels in runs.items():
+        scenes[scene] = scenes.get(scene, np.zeros(3, np.int64)) + pixels
+    return np.stack(list(scenes.values()))[:, None]
 
 
 def missing_runs(counts: Mapping[Key, Runs], config: Mapping[str, Any]) -> list[str]:
@@ -296,31 +296,33 @@ def missing_runs(counts: Mapping[Key, Runs], config: Mapping[str, Any]) -> list[
     told = []
     for category in config.get("unit_categories") or []:
         of_category = [runs for key, runs in counts.items() if key.category == category]
-        homes = dict.fromkeys(home for runs in of_category for home, _ in runs)
-        if not homes:
+        scenes = dict.fromkeys(scene for runs in of_category for scene, _ in runs)
+        if not scenes:
             told.append(f"{category}: no run of any approach")
         measured = dict.fromkeys(key.approach for key in counts)
         for width, approach in product(at(config, "evaluation.cell_widths") or [], measured):
             runs = counts.get(Key(approach, category, float(width)), {})
-            if lost := [(home, number) for home in homes for number in sets if (home, number) not in runs]:
-                names = ", ".join(f"{home} set {number}" for home, number in lost[:3])
+            if lost := [
+                (scene, number) for scene in scenes for number in sets if (scene, number) not in runs
+            ]:
+                names = ", ".join(f"{scene} set {number}" for scene, number in lost[:3])
                 told.append(
                     f"{approach}, {category}, cell width {float(width):g} m: {len(lost)} of "
-                    f"{len(homes) * len(sets)} runs missing ({names}{', …' if len(lost) > 3 else ''})"
+                    f"{len(scenes) * len(sets)} runs missing ({names}{', …' if len(lost) > 3 else ''})"
                 )
     return told
 
 
 def missing_maps(counts: Mapping[Key, Runs], maps: Sequence[SavedMaps]) -> list[str]:
     """A line on the runs that were counted and whose maps are not there; none if all are."""
-    there = {saved.run for saved in maps}
+    there = {saved.trial for saved in maps}
     counted = dict.fromkeys(
-        Run(home, key.cell_width, number) for key, runs in counts.items() for home, number in runs
+        Trial(scene, key.cell_width, number) for key, runs in counts.items() for scene, number in runs
     )
     lost = [run for run in counted if run not in there]
     if not lost:
         return []
-    names = ", ".join(f"{run.home} {run.cell_width:g} m set {run.number}" for run in lost[:3])
+    names = ", ".join(f"{run.scene} {run.cell_width:g} m set {run.number}" for run in lost[:3])
     more = ", …" if len(lost) > 3 else ""
     return [f"maps/: those of {len(lost)} of {len(counted)} runs are missing ({names}{more})"]
 

@@ -22,11 +22,11 @@ WHERE_AND_HOW = ("paths", "choices", "callbacks", "logger", "sweep_dir")
 """Nodes of a config that say where and how a member ran; they differ between members or follow from others."""
 
 
-MOST_MEMBERS = 100_000
+MAX_JOBS = 100_000
 """Of a sweep, as its files may ask for them."""
 
 
-class Member(NamedTuple):
+class Job(NamedTuple):
     """One run of a sweep.
 
     Attributes:
@@ -59,8 +59,8 @@ class Multirun:
         listed = list_of(folder / sweep_jobs.FILE)
         asked = [asked for asked, _, _ in listed] or grid(folder / "multirun.yaml")
         last = max([len(asked) - 1, *numbered(folder)])
-        self.members = [
-            member(
+        self.jobs = [
+            job(
                 folder / str(number),
                 asked[number] if number < len(asked) else {},
                 listed[number][1:] if number < len(listed) else ("", ""),
@@ -68,28 +68,26 @@ class Multirun:
             for number in range(last + 1)
         ]
         if not self.read:
-            raise UserError(
-                f"report: none of the {len(self.members)} members of {folder} has a config to read"
-            )
+            raise UserError(f"report: none of the {len(self.jobs)} members of {folder} has a config to read")
 
     @property
-    def read(self) -> list[Member]:
+    def read(self) -> list[Job]:
         """Members whose config can be read."""
-        return [member for member in self.members if member.results is not None]
+        return [job for job in self.jobs if job.results is not None]
 
     @cached_property
     def swept(self) -> dict[str, dict[str, str]]:
         """The value of everything that was swept, by key and number of the member."""
-        configs = {member.number: member.results.config for member in self.read if member.results}
+        configs = {job.number: job.results.config for job in self.read if job.results}
         by_choice = {number: _choices(config) for number, config in configs.items()}
         if found := _differing(by_choice):
             return found
         by_key = {number: _values(config) for number, config in configs.items()}
         return _independent(_differing(by_key))
 
-    def values(self, member: Member) -> dict[str, str]:
+    def values(self, job: Job) -> dict[str, str]:
         """What was swept of one member; of one that left no config, as its sweep asked for it."""
-        return {key: of.get(member.number, member.asked.get(key, "?")) for key, of in self.swept.items()}
+        return {key: of.get(job.number, job.asked.get(key, "?")) for key, of in self.swept.items()}
 
 
 def is_multirun(folder: Path) -> bool:
@@ -100,7 +98,7 @@ def is_multirun(folder: Path) -> bool:
 def numbered(folder: Path) -> list[int]:
     """Numbers of the folders in it that are named by one."""
     names = [path.name for path in folder.iterdir() if path.is_dir() and path.name.isdecimal()]
-    return [number for number in map(int, names) if number < MOST_MEMBERS]
+    return [number for number in map(int, names) if number < MAX_JOBS]
 
 
 def grid(path: Path) -> list[dict[str, str]]:
@@ -118,16 +116,16 @@ def grid(path: Path) -> list[dict[str, str]]:
             each for each in OverridesParser.create().parse_overrides(texts) if each.is_sweep_override()
         ]
         lists = [
-            [(each.key_or_group, text) for text in islice(each.sweep_string_iterator(), MOST_MEMBERS)]
+            [(each.key_or_group, text) for text in islice(each.sweep_string_iterator(), MAX_JOBS)]
             for each in parsed
         ]
-        return [dict(choice) for choice in islice(product(*lists), MOST_MEMBERS)]
+        return [dict(choice) for choice in islice(product(*lists), MAX_JOBS)]
     except Exception:  # missing or damaged: then the folders alone tell
         return []
 
 
 def list_of(path: Path) -> list[tuple[dict[str, str], str, str]]:
-    """Overrides, state and problem of each member, in the order of their folders, as a sweep's members.csv has them.
+    """Overrides, state and problem of each member, in the order of their folders, as a sweep's jobs.csv has them.
 
     Empty where there is no such file.
 
@@ -151,30 +149,28 @@ def list_of(path: Path) -> list[tuple[dict[str, str], str, str]]:
     ]
 
 
-def member(folder: Path, asked: dict[str, str], told: tuple[str, ...] = ("", "")) -> Member:
+def job(folder: Path, asked: dict[str, str], told: tuple[str, ...] = ("", "")) -> Job:
     """One member, and how far it came; `told` is its state and problem as the sweep itself has them."""
     state, problem = told
     if state == "failed":
         with suppress(UserError):  # it left no config, or a damaged one
-            return Member(folder.name, Results(folder), "failed", problem, asked)
-        return Member(folder.name, None, "failed", problem, asked)
+            return Job(folder.name, Results(folder), "failed", problem, asked)
+        return Job(folder.name, None, "failed", problem, asked)
     if not folder.is_dir():
-        return Member(
-            folder.name, None, "missing", "has no folder: it was never started, or was deleted", asked
-        )
+        return Job(folder.name, None, "missing", "has no folder: it was never started, or was deleted", asked)
     try:
         results = Results(folder)
     except UserError as error:
-        return Member(folder.name, None, "failed", str(error).partition(";")[0], asked)
+        return Job(folder.name, None, "failed", str(error).partition(";")[0], asked)
     if results.counts and not results.problems:
-        return Member(folder.name, results, "complete", "", asked)
+        return Job(folder.name, results, "complete", "", asked)
     if results.counts:
-        return Member(folder.name, results, "incomplete", "; ".join(results.problems), asked)
+        return Job(folder.name, results, "incomplete", "; ".join(results.problems), asked)
     log = folder / "run.log"
     text = log.read_text(errors="replace") if log.is_file() else ""
     if "The run failed" in text:
-        return Member(folder.name, results, "failed", text.strip().splitlines()[-1], asked)
-    return Member(folder.name, results, "unfinished", "left no results: it still runs, or was stopped", asked)
+        return Job(folder.name, results, "failed", text.strip().splitlines()[-1], asked)
+    return Job(folder.name, results, "unfinished", "left no results: it still runs, or was stopped", asked)
 
 
 def _choices(config: Mapping[str, Any]) -> dict[str, str]:

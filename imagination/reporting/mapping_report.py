@@ -12,7 +12,7 @@ from imagination.evaluation.approaches import Approach, ProjectedSegmentation, S
 from imagination.evaluation.metrics import CONFIDENCE
 from imagination.evaluation.protocol import MappingProtocol
 from imagination.evaluation.records import Report
-from imagination.reporting.tables import MAIN, furniture_rows, mapping_rows, paired_rows, run_rows
+from imagination.reporting.tables import MAIN, furniture_rows, mapping_rows, paired_rows, trial_rows
 from imagination.utils.atomic_io import write_text
 from imagination.utils.tabular import Row, to_csv, to_markdown
 
@@ -43,7 +43,7 @@ class Beside(NamedTuple):
 
     Attributes:
         training: what the networks were trained on and how well they do on single views.
-        known: the same approaches in homes with furniture as in training; None if there are none.
+        known: the same approaches in scenes with furniture as in training; None if there are none.
     """
 
     training: Sequence[Row] = ()
@@ -60,7 +60,7 @@ def write_tables(
 ) -> None:
     """Write the tables into `folder`, each whole or not at all.
 
-    These are mapping.csv, paired.csv, runs.csv, mapping.md and provenance.json, and where there is something to say
+    These are mapping.csv, paired.csv, trials.csv, mapping.md and provenance.json, and where there is something to say
     training.csv and furniture.csv.
     """
     mapping = mapping_rows(report, protocol, resolution)
@@ -68,7 +68,7 @@ def write_tables(
     write_text(folder / PROVENANCE, json.dumps(origin._asdict(), indent=1) + "\n")
     write_text(folder / "mapping.csv", to_csv(mapping))
     write_text(folder / "paired.csv", to_csv(paired))
-    write_text(folder / "runs.csv", to_csv(run_rows(report)))
+    write_text(folder / "trials.csv", to_csv(trial_rows(report)))
     parts = [
         "# Mapping from sparse viewpoints",
         to_markdown(mapping, MAIN),
@@ -100,19 +100,19 @@ def declared_sensor(setting: Setting, approaches: Mapping[str, Approach]) -> str
 def _averages(report: Report, protocol: MappingProtocol) -> str:
     """What is averaged over what, and what is left out."""
     left_out = "; ".join(
-        f"{category}: {len(names)} of {len(names) + len(report.homes[category])}"
+        f"{category}: {len(names)} of {len(names) + len(report.scenes[category])}"
         for category, names in report.left_out.items()
     )
     sets = len(report.snap_distances)
     empty = sum(len(distances) == 0 for distances in report.snap_distances)
     views = sum(map(len, report.snap_distances)) * protocol.orientations
     return (
-        f"A run is one home, cell width and viewpoint set; each cell width has {protocol.viewpoint_sets} sets a home, "
+        f"A run is one scene, cell width and viewpoint set; each cell width has {protocol.viewpoint_sets} sets a scene, "
         f"with {protocol.orientations} random headings a viewpoint ({views} views in all). Truth is M_gt of the whole "
-        "home, seen or not. `iou_pooled` divides the correct pixels of all runs by the union's, `iou_mean` is the mean "
+        "scene, seen or not. `iou_pooled` divides the correct pixels of all runs by the union's, `iou_mean` is the mean "
         f"of the runs' IoU, and pixels are summed over runs. The {CONFIDENCE:.0%} intervals of `iou_pooled` come from "
-        f"{protocol.resamples} bootstrap resamples of homes. Homes without the category are left out ({left_out}). "
-        f"{empty} of {sets} viewpoint sets are empty, the cell width being large for the home, and count with "
+        f"{protocol.resamples} bootstrap resamples of scenes. Scenes without the category are left out ({left_out}). "
+        f"{empty} of {sets} viewpoint sets are empty, the cell width being large for the scene, and count with "
         "empty maps."
     )
 
@@ -121,7 +121,7 @@ def _in_pairs(paired: list[Row]) -> list[str]:
     return [
         "## In pairs",
         to_markdown(paired, list(paired[0])),
-        f"Differences of `iou_pooled`, with {CONFIDENCE:.0%} intervals over homes resampled in pairs.",
+        f"Differences of `iou_pooled`, with {CONFIDENCE:.0%} intervals over scenes resampled in pairs.",
     ]
 
 
@@ -133,7 +133,7 @@ def _beside(folder: Path, report: Report, protocol: MappingProtocol, beside: Bes
         parts += [
             "## Networks",
             to_markdown(beside.training, list(beside.training[0])),
-            "Rounds, samples, distinct views and minutes of training; the best IoU of single views on validation homes "
+            "Rounds, samples, distinct views and minutes of training; the best IoU of single views on validation scenes "
             "(of a unit's egocentric maps, of a segmentation network's images), and of the latter on the images that "
             "are mapped here.",
         ]
@@ -143,7 +143,7 @@ def _beside(folder: Path, report: Report, protocol: MappingProtocol, beside: Bes
         parts += [
             "## Known and unseen furniture",
             to_markdown(rows, list(rows[0])),
-            "`known`: homes that were not trained on, with furniture drawn as training's; `unseen`: the test homes.",
+            "`known`: scenes that were not trained on, with furniture drawn as training's; `unseen`: the test scenes.",
         ]
     return parts
 
@@ -154,15 +154,15 @@ def _circumstances(mapping: list[Row], report: Report, protocol: MappingProtocol
     order = max(abs(float(row["iou_pooled"]) - float(row["iou_shuffled"])) for row in mapping)
     distances = np.concatenate(report.snap_distances)
     moved = distances.mean() if len(distances) else 0.0
-    finished = {
-        "keep": "",
+    postprocessing = {
+        "none": "",
         "close": ", closed by {:g} m",
-        "grow": ", grown by {:g} m",
-        "truth": " within the truth",
+        "dilate": ", dilated by {:g} m",
+        "ground_truth": " within the ground truth",
     }
     chosen = "; ".join(
         f"{name} ({category}) threshold {choice.threshold:.2f}"
-        + finished[protocol.approaches[name].finish].format(choice.kernel)
+        + postprocessing[protocol.approaches[name].postprocess].format(choice.kernel)
         for (name, category), choice in report.choices.items()
     )
     return "\n".join(
@@ -170,7 +170,7 @@ def _circumstances(mapping: list[Row], report: Report, protocol: MappingProtocol
             f"- Sensor, the same for all approaches: {origin.sensor}.",
             f"- Registration: {rules}; views in viewpoint order, then orientation. In a random order `iou_pooled` "
             f"changes by {order:.4f} at most. Viewpoints were moved {moved:.2f} m on average to free space.",
-            f"- Chosen on validation homes by pooled IoU at all cell widths together: {chosen}.",
+            f"- Chosen on validation scenes by pooled IoU at all cell widths together: {chosen}.",
             f"- Seed of the run {origin.seed}, of viewpoints, headings and bootstrap {protocol.seed}.",
             f"- {origin.hardware}; evaluation took {origin.seconds:.0f} s of wall time.",
             f"- Command: `{origin.command}`",

@@ -79,7 +79,7 @@ def tables(results: Results) -> list[Layout]:
     if not results.counts:
         return []
     columns = [Column(width, category) for width in results.cell_widths for category in results.categories]
-    made = f"the {CONFIDENCE:.0%} interval over homes ({results.resamples} bootstrap resamples) in brackets"
+    made = f"the {CONFIDENCE:.0%} interval over scenes ({results.resamples} bootstrap resamples) in brackets"
     best = "The best approach that is not told the truth is bold in each column of each block."
     cells = (
         f"Pixels are cells of {results.resolution:g} m here, of {paper_numbers.RESOLUTION:g} m in the paper."
@@ -147,7 +147,7 @@ def cell_of(results: Results, key: Key, measure: str) -> Cell | None:
 
 
 def bootstrap(results: Results, runs: Runs, measure: str) -> tuple[Float64[np.ndarray, " n"], float]:
-    """The measure of each resample of homes, and of all of them."""
+    """The measure of each resample of scenes, and of all of them."""
     counts = by_home(runs)
     draws = resample(len(counts), results.resamples, results.seed)
     of = MEASURES[measure]
@@ -173,7 +173,7 @@ def _in_pairs(results: Results, columns: list[Column]) -> list[Layout]:
     compared = pairs(results.approaches)
     if not compared:
         return []
-    note = f"With {CONFIDENCE:.0%} intervals over homes resampled in pairs; bold where the interval leaves out 0."
+    note = f"With {CONFIDENCE:.0%} intervals over scenes resampled in pairs; bold where the interval leaves out 0."
     return [
         Layout(
             f"paired_{measure}", title, note, columns,

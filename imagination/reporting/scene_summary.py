@@ -6,7 +6,7 @@ import numpy as np
 
 from imagination.ground_truth.scene_maps import GroundTruth
 from imagination.ground_truth.targets import imaginable_mask, label, neighbourhood
-from imagination.ground_truth.visualization import Look
+from imagination.ground_truth.visualization import LabelledView
 from imagination.scenes.categories import CategoryTable
 from imagination.scenes.renderer import SceneRenderer, renderer_of
 from imagination.scenes.scene import Scene
@@ -39,7 +39,9 @@ def summary(scene: Scene, truth: GroundTruth, categories: CategoryTable) -> list
     return lines
 
 
-def choose_looks(observer: Observer, name: str, poses: int, seed: int, kernels: Kernels) -> list[Look]:
+def choose_views(
+    observer: Observer, name: str, poses: int, seed: int, kernels: Kernels
+) -> list[LabelledView]:
     """Of random views, for each category the one with the largest label."""
     rng = np.random.default_rng(seed)
     scene = observer.scene(name)
@@ -48,21 +50,21 @@ def choose_looks(observer: Observer, name: str, poses: int, seed: int, kernels: 
         [label(view.object, view.seen[None], kernels.imaginable).sum(axis=(1, 2)) for view in views]
     )
     renderer = renderer_of(scene)
-    looks = []
+    chosen = []
     for layer in range(len(observer.categories)):
         best = int(sizes[:, layer].argmax())
         sizes[best] = -1  # no view twice, where there are enough
-        looks.append(develop(views[best], layer, observer, renderer, scene.floor_height, kernels))
-    return looks
+        chosen.append(develop(views[best], layer, observer, renderer, scene.floor_height, kernels))
+    return chosen
 
 
 def develop(
     view: View, layer: int, observer: Observer, renderer: SceneRenderer, floor: float, kernels: Kernels
-) -> Look:
+) -> LabelledView:
     """Everything that becomes of a view for one category."""
     objects = view.object[layer]
     image = renderer.render(observer.camera, observer.camera.to_world(view.pose, floor))
-    return Look(
+    return LabelledView(
         view.pose,
         layer,
         view.rgb,
@@ -77,6 +79,9 @@ def develop(
     )
 
 
-def stack(looks: list[Look]) -> dict[str, np.ndarray]:
+def stack(views: list[LabelledView]) -> dict[str, np.ndarray]:
     """Views as arrays with a leading axis."""
-    return {field: np.stack([np.asarray(getattr(look, field)) for look in looks]) for field in Look._fields}
+    return {
+        field: np.stack([np.asarray(getattr(view, field)) for view in views])
+        for field in LabelledView._fields
+    }

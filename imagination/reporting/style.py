@@ -10,9 +10,8 @@ LABELS = {
     "seg_gt": "Seg. with GT",
     "seg_hrnet": "Seg. with HRNetV2",
     "imagination_seen": "Imagination (seen)",
-    "seen_dilated": "Seen, grown",
+    "seen_dilated": "Seen, dilated",
     "imagination": "Imagination",
-    "imagination_dilated": "Imagination, grown",
     "rgb_shuffled": "RGB shuffled",
     "oracle": "Oracle",
 }
@@ -22,10 +21,9 @@ MEANINGS = {
     "seg_gt": "true first-person segmentation, projected by depth: ordinary semantic mapping with a perfect network",
     "seg_hrnet": "HRNetV2's first-person segmentation, projected by depth: ordinary semantic mapping",
     "imagination_seen": "the unit's prediction in cells that depth saw",
-    "seen_dilated": "the prediction in cells that depth saw, not dilated by the unit but grown by the best kernel: "
-    "does imagination do more than grow?",
+    "seen_dilated": "the prediction in cells that depth saw, not dilated by the unit but by the best kernel: "
+    "does imagination do more than dilate?",
     "imagination": "the unit's whole valid prediction, also where nothing was seen",
-    "imagination_dilated": "imagination, grown as imagination (seen) is: what imagining adds to growing",
     "rgb_shuffled": "imagination, each view with the colours of another one: does the unit look at them?",
     "oracle": "the truth within the imaginable area of the views: the most that can be imagined",
 }
@@ -37,7 +35,6 @@ COLOURS = {
     "imagination_seen": "#e69f00",
     "seen_dilated": "#cc79a7",
     "imagination": "#d55e00",
-    "imagination_dilated": "#c9b200",
     "rgb_shuffled": "#999999",
     "oracle": "#009e73",
 }

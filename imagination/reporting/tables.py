@@ -11,13 +11,13 @@ from imagination.evaluation.protocol import MappingProtocol
 from imagination.evaluation.records import Report
 from imagination.utils.tabular import Row
 
-PIXELS = "correct_pixels", "false_pixels", "truth_pixels"
+PIXELS = "correct_pixels", "false_positives", "gt_pixels"
 
 MAIN = (
     "approach",
     "category",
     "cell_width",
-    "runs",
+    "trials",
     "iou_pooled",
     "iou_mean",
     "iou_ci_low",
@@ -32,9 +32,6 @@ SCREEN_MAPPING = (
 SCREEN_PAIRED = "difference", "category", "cell_width", "iou_pooled", "ci_low", "ci_high", "correct_pixels"
 """Columns of the tables on the screen."""
 
-GROWN = "imagination_dilated", "seen_dilated"
-"""Compared with each other as well: both are grown, so that they differ in imagination alone."""
-
 
 def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -> list[Row]:
     """One row for each approach, category and cell width."""
@@ -48,18 +45,18 @@ def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -
                 "approach": key.approach,
                 "category": key.category,
                 "cell_width": f"{key.cell_width:g}",
-                "runs": str(counts.shape[0] * counts.shape[1]),
+                "trials": str(counts.shape[0] * counts.shape[1]),
                 "iou_pooled": f"{pooled_iou(counts):.4f}",
                 "iou_mean": f"{mean_iou(counts):.4f}",
                 "iou_ci_low": f"{low:.4f}",
                 "iou_ci_high": f"{high:.4f}",
                 "correct_pixels": str(correct),
-                "false_pixels": str(false),
-                "truth_pixels": str(truth),
+                "false_positives": str(false),
+                "gt_pixels": str(truth),
                 "area_m2": f"{correct * resolution**2:.4f}",
                 "resolution": f"{resolution:g}",
-                "homes": str(counts.shape[0]),
-                "homes_left_out": str(len(report.left_out[key.category])),
+                "scenes": str(counts.shape[0]),
+                "scenes_left_out": str(len(report.left_out[key.category])),
                 "threshold": f"{choice.threshold:.2f}",
                 "kernel_m": f"{choice.kernel:g}",
                 "iou_shuffled": f"{pooled_iou(report.shuffled[key]):.4f}",
@@ -72,13 +69,12 @@ def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -
 
 
 def pairs(approaches: Sequence[str]) -> list[tuple[str, str]]:
-    """Which approaches are compared in pairs: `REFERENCE` with each other one, and those of `GROWN`."""
-    found = [(REFERENCE, name) for name in approaches if name != REFERENCE and REFERENCE in approaches]
-    return found + ([GROWN] if set(GROWN) <= set(approaches) else [])
+    """Return the pairs of approaches that are compared: `REFERENCE` with each other one."""
+    return [(REFERENCE, name) for name in approaches if name != REFERENCE and REFERENCE in approaches]
 
 
 def paired_rows(report: Report, protocol: MappingProtocol) -> list[Row]:
-    """Differences of pooled IoU between approaches, resampled in pairs over homes."""
+    """Differences of pooled IoU between approaches, resampled in pairs over scenes."""
     rows = []
     compared = pairs(list(dict.fromkeys(key.approach for key in report.counts)))
     for (first, second), (key, counts) in product(compared, report.counts.items()):
@@ -96,32 +92,32 @@ def paired_rows(report: Report, protocol: MappingProtocol) -> list[Row]:
                 "ci_low": f"{low:+.4f}",
                 "ci_high": f"{high:+.4f}",
                 "correct_pixels": f"{int(ours[..., 0].sum() - counts[..., 0].sum()):+d}",
-                "homes": str(len(counts)),
+                "scenes": str(len(counts)),
             }
         )
     return rows
 
 
-def run_rows(report: Report) -> list[Row]:
+def trial_rows(report: Report) -> list[Row]:
     """The counts of every run, from which all tables follow."""
     return [
         {
             "approach": key.approach,
             "category": key.category,
             "cell_width": f"{key.cell_width:g}",
-            "home": home,
+            "scene": scene,
             "viewpoint_set": str(number),
             "iou": f"{float(iou(counts[place, number])):.4f}",
             **dict(zip(PIXELS, map(str, counts[place, number].tolist()), strict=True)),
         }
         for key, counts in report.counts.items()
-        for place, home in enumerate(report.homes[key.category])
+        for place, scene in enumerate(report.scenes[key.category])
         for number in range(counts.shape[1])
     ]
 
 
 def furniture_rows(unseen: Report, known: Report, protocol: MappingProtocol) -> list[Row]:
-    """Pooled IoU in homes with furniture as in training, none of them trained on, and in test homes, with intervals."""
+    """Pooled IoU in scenes with furniture as in training, none of them trained on, and in test scenes, with intervals."""
     rows = []
     for key, counts in known.counts.items():
         row = {"approach": key.approach, "category": key.category, "cell_width": f"{key.cell_width:g}"}

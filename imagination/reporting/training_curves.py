@@ -14,7 +14,7 @@ FOLDER = "tensorboard"
 
 COMPARED = {
     "train/loss": ("loss", "loss", "Training loss"),
-    "val/iou": ("iou", "IoU", "Single views of validation homes"),
+    "val/iou": ("iou", "IoU", "Single views of validation scenes"),
 }
 """Curves by which networks are compared: their name in files and on the axis, and what they are of."""
 
@@ -69,11 +69,11 @@ def charts(curves: dict[str, Curve]) -> list[Chart]:
         made.append(Chart("curve_loss", "Weighted loss", "loss", losses))
     regions = {cells: f"val/iou{'' if cells == 'all' else '_' + cells}" for cells in CELLS}
     if found := {cells: curves[tag] for cells, tag in regions.items() if tag in curves}:
-        made.append(Chart("curve_iou", "Single views of validation homes", "egocentric IoU", found))
+        made.append(Chart("curve_iou", "Single views of validation scenes", "egocentric IoU", found))
     parts = [tag.split("/") for tag in curves if tag.startswith("global/") and tag.endswith("/val")]
     for category in dict.fromkeys(part[1] for part in parts):
         of = {part[2]: curves["/".join(part)] for part in parts if part[1] == category}
-        title = f"Global maps of a few validation homes, {category}"
+        title = f"Global maps of a few validation scenes, {category}"
         made.append(Chart(f"curve_global_{category}", title, "pooled IoU", of))
     if "train/learning_rate" in curves:
         one = {"learning rate": curves["train/learning_rate"]}

@@ -7,7 +7,7 @@ from imagination.models.segmentation.ade20k import SOURCE
 from imagination.runs.checkpoint import Checkpoint
 from imagination.utils.tabular import Row
 
-COUNTED = "rounds", "samples", "views", "minutes", "until", "iou_val_views"
+COUNTED = "epochs", "samples", "views", "minutes", "until", "iou_val_views"
 """Columns that a checkpoint written without a record leaves empty."""
 
 
@@ -30,7 +30,7 @@ def training_rows(checkpoints: Sequence[Checkpoint], report: Report, public: boo
         }
         for checkpoint in checkpoints
         for name in checkpoint.categories
-        if name in report.homes
+        if name in report.scenes
     ]
     return rows + [
         {
@@ -49,7 +49,7 @@ def _counted(checkpoint: Checkpoint) -> Row:
     if not record:
         return dict.fromkeys(COUNTED, "")
     return {
-        "rounds": str(record["rounds"]),
+        "epochs": str(record["epochs"]),
         "samples": str(record["samples"]),
         "views": str(record["views"]),
         "minutes": f"{record['seconds'] / 60:.1f}",

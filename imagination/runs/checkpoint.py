@@ -142,20 +142,20 @@ class Checkpoint:
 
     @property
     def record(self) -> dict[str, Any]:
-        """What `TrainingRecord` counted, of the whole run where its last checkpoint lies beside; empty without it.
+        """What `TrainingStats` counted, of the whole run where its last checkpoint lies beside; empty without it.
 
         Beside it `flat`, whether the training ended because its score was flat (`UntilFlat`).
         """
         last = self.path.with_name(LAST.name)
         callbacks = (read_state(last) if last.is_file() else self.state).get("callbacks", {})
-        counts: dict[str, Any] = callbacks.get("TrainingRecord", {})
+        counts: dict[str, Any] = callbacks.get("TrainingStats", {})
         return counts and {**counts, "flat": callbacks.get("UntilFlat", {}).get("flat", False)}
 
     @property
-    def homes(self) -> dict[str, str]:
-        """Names and fingerprints of the homes that it was trained in; none where it does not say."""
+    def scenes(self) -> dict[str, str]:
+        """Names and fingerprints of the scenes that it was trained in; none where it does not say."""
         states = [state for state in self.state.values() if isinstance(state, dict)]
-        return next((dict(state["homes"]) for state in states if isinstance(state.get("homes"), dict)), {})
+        return next((dict(state["scenes"]) for state in states if isinstance(state.get("scenes"), dict)), {})
 
     def require(self, config: DictConfig, whose: str = "the evaluation") -> None:
         """Check that the checkpoint was trained for the camera and the maps of a config.

@@ -13,9 +13,9 @@ from omegaconf import DictConfig
 from imagination.config.compose import register_plugins
 from imagination.config.overrides import sweeps
 from imagination.config.plugin_registry import core_conf, discover
-from imagination.config.user_messages import mistakes_told
+from imagination.config.user_messages import user_errors_reported
 from imagination.config.validation import validate
-from imagination.runs.sweep import run_member
+from imagination.runs.sweep import run_job
 from imagination.utils.errors import UserError
 
 Task = Callable[[DictConfig], float | None]
@@ -35,8 +35,8 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
         def checked(config: DictConfig) -> float | None:
             config.sweep_dir = None  # Hydra has it from here on; with its date it is no part of a run
             if HydraConfig.get().mode == RunMode.MULTIRUN:
-                return run_member(task, config)
-            with mistakes_told():
+                return run_job(task, config)
+            with user_errors_reported():
                 (check or validate)(config)
                 return task(config)
             raise AssertionError("unreachable: mistakes end the program")
@@ -47,7 +47,7 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
                 if plugin.problem:
                     print(f"{plugin.name} ({plugin.origin}) is left out: {plugin.problem}", file=sys.stderr)
             register_plugins()
-            with mistakes_told():
+            with user_errors_reported():
                 if check is not None and any(map(sweeps, sys.argv[1:])):
                     raise UserError(
                         f"-m: imagination.{config_name} knows no sweeps; call it once for each value"

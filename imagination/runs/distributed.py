@@ -12,7 +12,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imagination.utils.process_group import rank, started_by_torchrun
+from imagination.utils.process_group import global_rank, started_by_torchrun
 
 if TYPE_CHECKING:
     from lightning.fabric.plugins.environments.cluster_environment import ClusterEnvironment
@@ -70,5 +70,5 @@ def environment() -> ClusterEnvironment:
     from lightning.fabric.plugins.environments.torchelastic import TorchElasticEnvironment
 
     chosen = TorchElasticEnvironment() if started_by_torchrun() else LightningEnvironment()
-    chosen.set_global_rank(rank())  # until then who logs goes by SLURM_PROCID
+    chosen.set_global_rank(global_rank())  # until then who logs goes by SLURM_PROCID
     return chosen

@@ -6,7 +6,7 @@ from datetime import datetime
 from itertools import count
 from pathlib import Path
 
-from imagination.utils.atomic_io import PART, replacing, write_errors_told
+from imagination.utils.atomic_io import PART, replacing, write_errors_reported
 from imagination.utils.errors import UserError
 
 CONFIG = "config.yaml"
@@ -23,7 +23,7 @@ STAMP = "%Y-%m-%d_%H-%M-%S"
 
 def create_folder(parent: Path, name: str) -> Path:
     """Make a new folder that nobody else has: parent/name, or with _1, _2 … where that exists."""
-    with write_errors_told(parent):
+    with write_errors_reported(parent):
         parent.mkdir(parents=True, exist_ok=True)
         for number in count():
             folder = parent / (f"{name}_{number}" if number else name)

@@ -77,7 +77,7 @@ def check_shares(config: DictConfig) -> None:
                 f"scale.{name}: got {size} for {count} processes, expected a multiple of {count}; change it or "
                 "trainer.devices"
             )
-    least = {"homes.train": "home", "held_out_views.val": "view", "held_out_views.test": "view"}
+    least = {"scenes.train": "scene", "eval_views.val": "view", "eval_views.test": "view"}
     for name, kind in least.items():
         if (got := OmegaConf.select(config.scale, name)) < count:
             raise UserError(f"scale.{name}: got {got} for {count} processes, expected a {kind} for each")

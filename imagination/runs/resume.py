@@ -31,10 +31,10 @@ from imagination.runs.folder import (
 )
 from imagination.runs.locking import locked
 from imagination.runs.logging import FILE_ONLY, logging_to
-from imagination.utils.atomic_io import remove_parts, write_errors_told, write_text
+from imagination.utils.atomic_io import remove_parts, write_errors_reported, write_text
 from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError, WorkerDiedError
-from imagination.utils.process_group import rank
+from imagination.utils.process_group import global_rank
 from imagination.utils.progress import console
 
 log = logging.getLogger(__name__)
@@ -81,7 +81,7 @@ def opened(config: DictConfig) -> Iterator[Run]:
         UserError: if there is nothing to go on with, or it may not be changed like this.
     """
     asked = config.resume or config.ckpt_path
-    if rank():
+    if global_rank():
         run = _joined(config)
         try:
             yield run
@@ -155,12 +155,12 @@ def again(folder: Path) -> str:
 
 def _new(config: DictConfig) -> Path:
     """A new run's folder, outputs/<name>/<date_time>; that of a sweep's member is given, and may be there already."""
-    member = HydraConfig.get().mode == RunMode.MULTIRUN
-    config.paths.run = config.paths.run if member else "."
+    job = HydraConfig.get().mode == RunMode.MULTIRUN
+    config.paths.run = config.paths.run if job else "."
     OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # fails before there is a folder
-    if member:
+    if job:
         folder = Path(config.paths.run)
-        with write_errors_told(folder):
+        with write_errors_reported(folder):
             folder.mkdir(parents=True, exist_ok=True)
         return folder
     return create_folder(Path(config.paths.outputs) / config.name, now())

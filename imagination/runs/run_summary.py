@@ -52,7 +52,7 @@ def settings(config: DictConfig) -> dict[str, Any]:
 
 
 def single_views(run: Run, trainer: Trainer) -> str:
-    """Write the scores of single views of test homes, and tell them with what was trained on.
+    """Write the scores of single views of test scenes, and tell them with what was trained on.
 
     A unit's are those of its egocentric maps, tables/ego.csv; a segmentation network's those of its images,
     tables/first_person.csv.
@@ -72,7 +72,7 @@ def single_views(run: Run, trainer: Trainer) -> str:
         values = (f"{scores[f'test/{of}{ending}']:.4f}" for of in ("iou", "precision", "recall"))
         lines.append(",".join([name, *values]))
     write_text(run.folder / "tables" / f"{file}.csv", "\n".join(lines) + "\n")
-    told = f"{what} IoU on views of unseen homes: {told} (tables/{file}.csv)"
+    told = f"{what} IoU on views of unseen scenes: {told} (tables/{file}.csv)"
     if "data/collected_views" in scores:  # not when a finished run is only tested again
         views, draws = scores["data/collected_views"], scores["data/draws_per_view"]
         told += f"\nTrained on {views * draws:.0f} samples of {views:.0f} distinct views, {draws:.1f} draws a view"

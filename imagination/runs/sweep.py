@@ -21,7 +21,7 @@ from omegaconf import DictConfig
 from imagination.config.compose import compose
 from imagination.config.overrides import key
 from imagination.config.plugin_registry import activate
-from imagination.config.user_messages import explain, mistakes_told
+from imagination.config.user_messages import explain, user_errors_reported
 from imagination.config.validation import validate
 from imagination.runs import sweep_jobs
 from imagination.runs.folder import within
@@ -39,21 +39,21 @@ class Sweep(Callback):
     def on_multirun_start(self, config: DictConfig, **about: Any) -> None:
         """List all members before the first begins; a search chooses them as it goes."""
         if config.hydra.sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
-            with mistakes_told():
+            with user_errors_reported():
                 plan(config.hydra, str(about["config_name"]))
 
     def on_multirun_end(self, config: DictConfig, **about: Any) -> None:
         """Tell how the members ended; the exit code is 1 if one failed."""
         folder = Path(config.hydra.sweep.dir)
         every = sweep_jobs.read(folder)
-        done = sum(member.state == "done" for member in every)
+        done = sum(job.state == "done" for job in every)
         print(
             f"Sweep {folder}: {done} of {len(every)} members done ({folder / sweep_jobs.FILE})",
             file=sys.stderr,
         )
-        failed = [member for member in every if member.state == "failed"]
-        for member in failed:
-            print(f"  {member.folder} failed ({member.overrides}): {member.problem}", file=sys.stderr)
+        failed = [job for job in every if job.state == "failed"]
+        for job in failed:
+            print(f"  {job.folder} failed ({job.overrides}): {job.problem}", file=sys.stderr)
         if done < len(every):
             again = [_lasting(text) for text in sys.argv[1:] if not text.startswith("sweep_dir=")]
             command = shlex.join(["python", "-m", f"imagination.{config.hydra.job.name}", *again])
@@ -82,7 +82,7 @@ def plan(hydra: DictConfig, config_name: str) -> None:
     trained: dict[str, str] = {}
     enrolments = []
     for overrides in BasicSweeper.split_arguments(parsed, None)[0]:
-        config, told = compose(config_name, list(overrides)), told_overrides(overrides)
+        config, told = compose(config_name, list(overrides)), job_overrides(overrides)
         key = sweep_jobs.key_of(config)
         same = trained.setdefault(sweep_jobs.key_of(config, sweep_jobs.EVALUATION_ONLY), key)
         if config_name == "train" and same != key:
@@ -92,36 +92,36 @@ def plan(hydra: DictConfig, config_name: str) -> None:
             )
         enrolments.append((key, told))
     for key, told in enrolments:
-        sweep_jobs.enrol(Path(hydra.sweep.dir), key, told)
+        sweep_jobs.register(Path(hydra.sweep.dir), key, told)
 
 
-def told_overrides(overrides: list[str]) -> list[str]:
+def job_overrides(overrides: list[str]) -> list[str]:
     """The overrides that say what a member is."""
     return [text for text in overrides if key(text) not in STEERING]
 
 
-def run_member(task: Callable[[DictConfig], float | None], config: DictConfig) -> float | None:
+def run_job(task: Callable[[DictConfig], float | None], config: DictConfig) -> float | None:
     """Run one member in its folder, `paths.run`; what goes wrong is told and recorded, and the sweep goes on."""
     activate()  # a launcher may have started this process
     hydra = HydraConfig.get()
     sweep, key = Path(hydra.sweep.dir), sweep_jobs.key_of(config)
-    about = sweep, key, told_overrides(list(hydra.overrides.task))
-    member = sweep_jobs.enrol(*about)
+    about = sweep, key, job_overrides(list(hydra.overrides.task))
+    job = sweep_jobs.register(*about)
     try:
-        with locked(sweep, sweep_jobs.lock_of(member)):
-            member = sweep_jobs.enrol(*about)  # what another process may have done meanwhile
-            if member.state == "done":
-                return float(member.score) if member.score else None
-            print(f"Member {member.folder}: {member.overrides}", file=sys.stderr)
+        with locked(sweep, sweep_jobs.lock_name(job)):
+            job = sweep_jobs.register(*about)  # what another process may have done meanwhile
+            if job.state == "done":
+                return float(job.score) if job.score else None
+            print(f"Member {job.folder}: {job.overrides}", file=sys.stderr)
             sweep_jobs.update(sweep, key, state="running", problem="")
             shares.restart()
-            config.paths.run = str(sweep / member.folder)
+            config.paths.run = str(sweep / job.folder)
             validate(config)
             score = task(config)
             sweep_jobs.update(sweep, key, state="done", score="" if score is None else repr(score))
             return score
     except BusyError as error:
-        print(f"Member {member.folder} is left out: {error}", file=sys.stderr)
+        print(f"Member {job.folder} is left out: {error}", file=sys.stderr)
     except (KeyboardInterrupt, SystemExit):
         sweep_jobs.update(sweep, key, state="stopped")
         print(

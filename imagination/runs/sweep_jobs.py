@@ -1,9 +1,9 @@
-"""The members of a sweep: members.csv in the sweep's folder, one line each, in the order of the sweep.
+"""The members of a sweep: jobs.csv in the sweep's folder, one line each, in the order of the sweep.
 
     folder      name of the member's folder in the sweep's; it appears when the member begins
     key         hash of the member's resolved config: the same member of an earlier start has the same
     state       missing (not begun), running, done, failed, or stopped (by Ctrl-C or a kill)
-    score       of a unit that was trained: its best egocentric IoU on validation homes; else empty
+    score       of a unit that was trained: its best egocentric IoU on validation scenes; else empty
     overrides   the member's command line, quoted as in a shell
     problem     why it failed
 
@@ -30,22 +30,22 @@ from imagination.utils.atomic_io import PART, write_text
 from imagination.utils.errors import UserError
 from imagination.utils.tabular import read_csv
 
-FILE = "members.csv"
+FILE = "jobs.csv"
 
 EVALUATION_ONLY = (
     "evaluation",
     "mapping",
     "callbacks.mapping_evaluation",
-    "callbacks.pictures",
+    "callbacks.unit_images",
     "scale.cell_widths",
     "scale.viewpoint_sets",
     "scale.orientations",
-    "scale.eval_homes",
+    "scale.eval_scenes",
 )
 """Nodes that only evaluation reads."""
 
 
-class Member(NamedTuple):
+class Job(NamedTuple):
     """One line of the file."""
 
     folder: str
@@ -56,7 +56,7 @@ class Member(NamedTuple):
     problem: str
 
 
-def read(sweep: Path) -> list[Member]:
+def read(sweep: Path) -> list[Job]:
     """The members of a sweep, as they are now.
 
     Raises:
@@ -67,21 +67,21 @@ def read(sweep: Path) -> list[Member]:
             f"sweep {sweep}: holds no {FILE}; expected the folder of a sweep (train or evaluate with -m)"
         )
     return [
-        member._replace(state="stopped") if member.state == "running" and not _held(sweep, member) else member
-        for member in _load(sweep)
+        job._replace(state="stopped") if job.state == "running" and not _held(sweep, job) else job
+        for job in _load(sweep)
     ]
 
 
-def enrol(sweep: Path, key: str, overrides: Sequence[str]) -> Member:
+def register(sweep: Path, key: str, overrides: Sequence[str]) -> Job:
     """The member with this key; a new one gets the next number as its folder."""
     with _exclusively(sweep):
-        members = _load(sweep)
-        for member in members:
-            if member.key == key:
-                return member
-        member = Member(str(len(members)), key, "missing", "", shlex.join(overrides), "")
-        _save(sweep, [*members, member])
-        return member
+        jobs = _load(sweep)
+        for job in jobs:
+            if job.key == key:
+                return job
+        job = Job(str(len(jobs)), key, "missing", "", shlex.join(overrides), "")
+        _save(sweep, [*jobs, job])
+        return job
 
 
 def update(sweep: Path, key: str, **changes: str) -> None:
@@ -90,9 +90,9 @@ def update(sweep: Path, key: str, **changes: str) -> None:
         _save(sweep, [m._replace(**changes) if m.key == key else m for m in _load(sweep)])
 
 
-def lock_of(member: Member) -> str:
+def lock_name(job: Job) -> str:
     """Name of the file in the sweep's folder that the process running the member holds."""
-    return f".{member.folder}.lock"
+    return f".{job.folder}.lock"
 
 
 def key_of(config: DictConfig, without: Sequence[str] = ()) -> str:
@@ -123,9 +123,9 @@ def _remove(node: Any, path: Sequence[str]) -> None:
     node.pop(last, None)
 
 
-def _held(sweep: Path, member: Member) -> bool:
+def _held(sweep: Path, job: Job) -> bool:
     try:
-        with locked(sweep, lock_of(member)):
+        with locked(sweep, lock_name(job)):
             return False
     except BusyError:
         return True
@@ -142,24 +142,24 @@ def _exclusively(sweep: Path) -> Iterator[None]:
         yield
 
 
-def _load(sweep: Path) -> list[Member]:
+def _load(sweep: Path) -> list[Job]:
     if not (sweep / FILE).is_file():
         return []
     try:
         rows = read_csv(sweep / FILE)
-        if any(row.keys() != set(Member._fields) for row in rows):
-            raise ValueError(f"its columns are not {','.join(Member._fields)}")
+        if any(row.keys() != set(Job._fields) for row in rows):
+            raise ValueError(f"its columns are not {','.join(Job._fields)}")
         if odd := [row["folder"] for row in rows if not row["folder"].isdecimal()]:
             raise ValueError(f"got the folder {odd[0]!r}, expected a number")
-        return [Member(**row) for row in rows]
+        return [Job(**row) for row in rows]
     except (OSError, ValueError, csv.Error) as error:
         raise UserError(
             f"{sweep / FILE}: cannot be read ({error}); restore it, or give another folder with sweep_dir=…"
         ) from error
 
 
-def _save(sweep: Path, members: Sequence[Member]) -> None:
+def _save(sweep: Path, jobs: Sequence[Job]) -> None:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerows([Member._fields, *members])
+    writer.writerows([Job._fields, *jobs])
     write_text(sweep / FILE, text.getvalue())

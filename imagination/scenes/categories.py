@@ -14,12 +14,12 @@ class Category:
     Attributes:
         name: as used in configs and tables, e.g. "chair".
         colour: RGB, 0 to 255, for drawing only.
-        members: for each scene source, the labels of that source that belong to this category.
+        aliases: for each scene source, the labels of that source that belong to this category.
     """
 
     name: str
     colour: tuple[int, int, int]
-    members: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    aliases: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 class CategoryTable:
@@ -38,7 +38,7 @@ class CategoryTable:
         self.rows = tuple(rows)
         self._by_label: dict[tuple[str, str], str] = {}
         for row in rows:
-            for source, labels in row.members.items():
+            for source, labels in row.aliases.items():
                 for label in labels:
                     other = self._by_label.setdefault((source, label), row.name)
                     if other != row.name:
@@ -49,8 +49,8 @@ class CategoryTable:
 
     @classmethod
     def from_config(cls, config: Mapping[str, Mapping[str, Any]]) -> "CategoryTable":
-        """Build the table from conf/categories: {name: {colour: [r, g, b], members: {source: [label]}}}."""
-        rows = [Category(name, tuple(row["colour"]), row.get("members", {})) for name, row in config.items()]
+        """Build the table from conf/categories: {name: {colour: [r, g, b], aliases: {source: [label]}}}."""
+        rows = [Category(name, tuple(row["colour"]), row.get("aliases", {})) for name, row in config.items()]
         return cls(rows)
 
     def __iter__(self) -> Iterator[Category]:

@@ -60,7 +60,7 @@ class SceneSource(Protocol):
 
 
 @runtime_checkable
-class SpareHomes(SceneSource, Protocol):
+class SpareScenes(SceneSource, Protocol):
     """A source with more homes like those of training, for learning how much unseen furniture costs."""
 
     def spare(self, count: int) -> list[str]:

@@ -21,7 +21,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         CannotWriteError: if the disk is full or may not be written.
     """
-    with write_errors_told(path):
+    with write_errors_reported(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PART, dir=path.parent))
         temporary = scratch / path.name
@@ -37,7 +37,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def write_errors_told(path: Path) -> Iterator[None]:
+def write_errors_reported(path: Path) -> Iterator[None]:
     """Turn a full disk or a folder that may not be written into an error that says where and what to do."""
     try:
         yield

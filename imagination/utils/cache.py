@@ -250,13 +250,13 @@ def _arrays(body: memoryview) -> Iterator[tuple[str, np.ndarray]]:
         yield entry["name"], whole.reshape(shape)
 
 
-def plain(value: Any) -> Any:
+def as_plain(value: Any) -> Any:
     """Dataclasses, named tuples and mappings as plain values that keys of caches are made of."""
     if is_dataclass(value) and not isinstance(value, type):
-        inside = {item.name: plain(getattr(value, item.name)) for item in fields(value) if item.init}
+        inside = {item.name: as_plain(getattr(value, item.name)) for item in fields(value) if item.init}
         return {"class": f"{type(value).__module__}.{type(value).__qualname__}", **inside}
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): as_plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [as_plain(item) for item in value]
     return value

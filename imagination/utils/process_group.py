@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-def rank() -> int:
+def global_rank() -> int:
     """Number of this process among those that train together."""
     return int(os.environ.get("RANK", os.environ.get("LOCAL_RANK", 0)))
 
@@ -21,7 +21,7 @@ def started_by_torchrun() -> bool:
     return "TORCHELASTIC_RUN_ID" in os.environ
 
 
-def ranks() -> int:
+def world_size() -> int:
     """How many processes train together; 1 before they have met."""
     from torch import distributed
 
@@ -32,12 +32,12 @@ def sum_over_ranks(counts: Tensor) -> Tensor:
     """The sum of a tensor without gradients over all processes that train together."""
     from torch import distributed
 
-    if ranks() > 1:
+    if world_size() > 1:
         distributed.all_reduce(counts)
     return counts
 
 
-def begun_elsewhere(items: list[T]) -> list[T]:
+def rotated_by_rank(items: list[T]) -> list[T]:
     """The items from a start of this process's own: processes that share a cache then do not make the same at once."""
-    start = rank() * len(items) // int(os.environ.get("WORLD_SIZE", 1))
+    start = global_rank() * len(items) // int(os.environ.get("WORLD_SIZE", 1))
     return items[start:] + items[:start]

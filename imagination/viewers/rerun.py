@@ -10,7 +10,7 @@ from imagination.mapping.semantic_mapper import SemanticMapper, Update
 from imagination.mapping.visualization import FREE_COLOUR, OCCUPIED_COLOUR, UNKNOWN_COLOUR, draw_map
 from imagination.utils.errors import check_range, require_extra
 
-MOST_PLACES = 1000
+MAX_PLACES = 1000
 """Of the robot's path; of more, every second is dropped, since the whole path is sent again and again."""
 
 
@@ -51,10 +51,10 @@ class Rerun:
         projection[update.seen] = FREE_COLOUR
         projection[update.occupied] = OCCUPIED_COLOUR
         log("ego/projection", rerun.Image(projection))
-        for category, layer in zip(self._mapper.description.categories, update.probabilities, strict=True):
+        for category, layer in zip(self._mapper.spec.categories, update.probabilities, strict=True):
             log(f"ego/{category}", rerun.Image((255 * layer).astype(np.uint8)))
         self._path.append(update.pose)
-        if len(self._path) > MOST_PLACES:
+        if len(self._path) > MAX_PLACES:
             self._path = [*self._path[:-1:2], update.pose]
         if self._seen % self.every == 0:
             self._show_map()
@@ -68,7 +68,7 @@ class Rerun:
     def _show_map(self) -> None:
         """The map as a picture, the path over it in its pixels."""
         maps = self._mapper.maps
-        self._stream.log("map", self._rerun.Image(draw_map(maps, self._mapper.description.colours)))
+        self._stream.log("map", self._rerun.Image(draw_map(maps, self._mapper.spec.colours)))
         places = np.array([[pose.x, pose.y] for pose in self._path])
         pixels = (places - maps.grid.origin) / maps.grid.resolution
         pixels[:, 1] = maps.grid.rows - pixels[:, 1]

@@ -55,7 +55,7 @@ class Preview:
     def show(self, stamp: int, update: Update) -> None:
         if self._seen % self._every == 0:
             self._path.append(update.pose)
-            colours = self._mapper.description.colours
+            colours = self._mapper.spec.colours
             picture = draw_update(update, self._mapper.maps, colours, self._path)
             self._pictures.append(cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
             if len(self._pictures) > self.most:

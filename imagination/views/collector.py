@@ -12,7 +12,7 @@ import numpy as np
 
 from imagination.geometry.pose import Pose
 from imagination.scenes.scene import Scene
-from imagination.utils.cache import plain
+from imagination.utils.cache import as_plain
 from imagination.utils.errors import UserError, check_range
 from imagination.views.observer import Observer
 from imagination.views.random_streams import Stream
@@ -79,7 +79,7 @@ class Collector:
         check_range("update_interval", self.steps, 1, 10_000, "collection steps")
         if not self.scenes:
             raise UserError(
-                "collector: got no training scenes, expected at least one; raise scale.homes.train"
+                "collector: got no training scenes, expected at least one; raise scale.scenes.train"
             )
 
     @property
@@ -96,7 +96,7 @@ class Collector:
         key = {
             "views": {scene: observer.view_key(scene) for scene in sorted(set(slots))},
             "slots": slots,
-            "sampler": plain(self.sampler),
+            "sampler": as_plain(self.sampler),
             "seed": [self.seed, index, self.first_slot],
             "steps": self.steps,
         }

@@ -16,7 +16,7 @@ from imagination.scenes.renderer import SceneRenderer, renderer_of
 from imagination.scenes.scene import Scene
 from imagination.scenes.sensor import Sensor
 from imagination.scenes.source import SceneSource
-from imagination.utils.cache import Cache, plain
+from imagination.utils.cache import Cache, as_plain
 from imagination.views.view import View
 
 
@@ -29,7 +29,7 @@ class Observer:
         camera, sensor: what the robot looks through.
         ego: grid of egocentric maps.
         obstacles: heights above the floor that count as occupied.
-        truth_spec: how ground-truth maps are made.
+        ground_truth_spec: how ground-truth maps are made.
         categories: the category table.
         cache: where ground truth and views are kept.
     """
@@ -39,7 +39,7 @@ class Observer:
     sensor: Sensor
     ego: EgoGrid
     obstacles: Band
-    truth_spec: GroundTruthSpec
+    ground_truth_spec: GroundTruthSpec
     categories: CategoryTable
     cache: Cache
     _loaded: dict[str, tuple[Scene, SceneRenderer]] = field(
@@ -62,7 +62,7 @@ class Observer:
         """Ground-truth maps of the scene, from the cache where they are kept."""
         if name not in self._truths:
             arrays = self.cache.get_or_build(
-                "ground_truth", self.truth_key(name), lambda: self._build_truth(name)
+                "ground_truth", self.ground_truth_key(name), lambda: self._build_truth(name)
             )
             self._truths[name] = GroundTruth.from_arrays(arrays)
         return self._truths[name]
@@ -87,15 +87,19 @@ class Observer:
         self._loaded.pop(name, None)
         self._truths.pop(name, None)
 
-    def truth_key(self, name: str) -> dict[str, Any]:
+    def ground_truth_key(self, name: str) -> dict[str, Any]:
         """What the scene's ground truth depends on."""
-        members = {row.name: plain(row.members) for row in self.categories}
-        return {"scene": self.source.fingerprint(name), "spec": plain(self.truth_spec), "categories": members}
+        aliases = {row.name: as_plain(row.aliases) for row in self.categories}
+        return {
+            "scene": self.source.fingerprint(name),
+            "spec": as_plain(self.ground_truth_spec),
+            "categories": aliases,
+        }
 
     def view_key(self, name: str) -> dict[str, Any]:
         """What views of the scene depend on, apart from pose and random numbers."""
         parts = {"camera": self.camera, "sensor": self.sensor, "ego": self.ego, "obstacles": self.obstacles}
-        return {**self.truth_key(name), **{part: plain(value) for part, value in parts.items()}}
+        return {**self.ground_truth_key(name), **{part: as_plain(value) for part, value in parts.items()}}
 
     def _load(self, name: str) -> tuple[Scene, SceneRenderer]:
         if name not in self._loaded:
@@ -105,4 +109,4 @@ class Observer:
 
     def _build_truth(self, name: str) -> dict[str, np.ndarray]:
         scene, renderer = self._load(name)
-        return build(scene, renderer, self.truth_spec, self.categories).to_arrays()
+        return build(scene, renderer, self.ground_truth_spec, self.categories).to_arrays()

@@ -53,22 +53,22 @@ class BalancedPoses:
     """
 
     categories: Sequence[str]
-    share: float = 0.5
+    fraction: float = 0.5
     distance: float = 4.0
     spread: float = 0.6
 
     def __post_init__(self) -> None:
-        check_range("sampler.share", self.share, 0.0, 1.0)
+        check_range("sampler.fraction", self.fraction, 0.0, 1.0)
         check_range("sampler.distance", self.distance, 0.0, 100.0, "m", open_low=True)
         check_range("sampler.spread", self.spread, 0.0, np.pi, "rad")
 
     def __call__(self, scene: Scene, count: int, rng: np.random.Generator) -> list[Pose]:
-        things = [thing for category in self.categories for thing in scene.of_category(category)]
-        centres = np.array([thing.box.centre[:2] for thing in things])
+        objects = [obj for category in self.categories for obj in scene.of_category(category)]
+        centres = np.array([obj.box.centre[:2] for obj in objects])
         poses = []
         for pose in sample_poses(scene.free_space, count, rng):
             turned = (
-                rng.random() < self.share
+                rng.random() < self.fraction
             )  # drawn for every pose, so that the stream does not depend on the scene
             error, choice = rng.uniform(-self.spread, self.spread), rng.random()
             offsets = centres - np.array(pose[:2]) if len(centres) else np.empty((0, 2))

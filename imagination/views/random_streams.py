@@ -8,7 +8,7 @@ class Stream(IntEnum):
 
     SCENE_ORDER = 0
     TRAINING_VIEWS = 1
-    HELD_OUT_VIEWS = 2
+    EVAL_VIEWS = 2
     BATCHES = 3
     VIEWPOINTS = 4
     REGISTRATION_ORDER = 5

@@ -1,4 +1,4 @@
-"""The replay buffer at desk scale: inserting a collection, drawing a batch."""
+"""The replay buffer at small scale: inserting a collection, drawing a batch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BATCH = 108
 COLLECTION = 80
 
 
-def views_of_a_home(folder: str, count: int = COLLECTION) -> Views:
+def views_of_a_scene(folder: str, count: int = COLLECTION) -> Views:
     """Views as training collects them."""
     return look(observer(folder), "test_0000", UniformPoses(), (SEED, 1), count)
 
@@ -25,7 +25,7 @@ def run(folder: str) -> list[Figure]:
     """All figures."""
     desk = config(folder)
     size, resolution = desk.scale.buffer_size, desk.scale.resolution
-    views = views_of_a_home(folder)
+    views = views_of_a_scene(folder)
     buffer = ReplayBuffer(size, desk.aggregation_factor)
     for _ in range(-(-size // COLLECTION)):
         buffer.insert(views)

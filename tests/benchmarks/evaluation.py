@@ -1,4 +1,4 @@
-"""Evaluation at desk scale: views from sparse viewpoints to scores, beside rendering and predicting them alone."""
+"""Evaluation at small scale: views from sparse viewpoints to scores, beside rendering and predicting them alone."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from hydra.utils import instantiate
+from tests.benchmarks.evaluate import Figure, medians
 
-from imagination.evaluation.protocol import MappingProtocol, Subject
-from imagination.evaluation.run import subject_of
-from imagination.evaluation.trials import KIND, Looks, render, runs_of, views_of
-from tests.benchmarks.measure import Figure, medians
+from imagination.evaluation.protocol import MappingProtocol, ModelUnderTest
+from imagination.evaluation.run import model_under_test
+from imagination.evaluation.trials import KIND, ViewpointSampling, render, trials_of, views_of
 from tests.benchmarks.subjects import config
 
-HOMES = [f"test_{number:04d}" for number in range(6)]
+SCENES = [f"test_{number:04d}" for number in range(6)]
 
 
 def run(folder: str) -> list[Figure]:
@@ -34,7 +34,7 @@ def run(folder: str) -> list[Figure]:
             note=note,
         ),
         Figure(
-            "evaluation: choosing thresholds and kernels on validation homes",
+            "evaluation: choosing thresholds and kernels on validation scenes",
             count / seconds["choose"],
             "viewpoints/s",
             count / predicting,
@@ -44,42 +44,42 @@ def run(folder: str) -> list[Figure]:
     ]
 
 
-def set_up(folder: str) -> tuple[Subject, MappingProtocol]:
+def set_up(folder: str) -> tuple[ModelUnderTest, MappingProtocol]:
     """The default unit, untrained, and how it is evaluated: one set of viewpoints, nothing kept."""
     desk = config(folder, "scale.workers=0")
     data = instantiate(desk.data.module)
     model = instantiate(desk.model.module).eval()
     asked: MappingProtocol = replace(instantiate(desk.evaluation), viewpoint_sets=1)
-    subject = subject_of(data, [model], asked.precision, keep=False)
-    for home in HOMES:
-        data.observer.truth(home)  # measured elsewhere
+    subject = model_under_test(data, [model], asked.precision, keep=False)
+    for scene in SCENES:
+        data.observer.truth(scene)  # measured elsewhere
     return subject, asked.available(subject.predict.gives)
 
 
-def timed(subject: Subject, protocol: MappingProtocol) -> tuple[int, dict[str, float]]:
+def timed(subject: ModelUnderTest, protocol: MappingProtocol) -> tuple[int, dict[str, float]]:
     """How many viewpoints there are, and the seconds that each part takes for all of them."""
     observer = subject.pool.observer
-    runs = runs_of(HOMES, protocol.cell_widths, 1)
-    looks, needs = Looks(protocol.seed, protocol.orientations), protocol._plan(subject).needs
+    runs = trials_of(SCENES, protocol.cell_widths, 1)
+    sampling, needs = ViewpointSampling(protocol.seed, protocol.orientations), protocol._plan(subject).needs
 
     def render_anew() -> None:
         shutil.rmtree(Path(observer.cache.folder, KIND), ignore_errors=True)
-        render(subject.pool, runs, looks, silent=True)
+        render(subject.pool, runs, sampling, silent=True)
 
     def predict() -> None:
         for each in views:
             subject.predict(each, needs)
 
     render_anew()
-    # a home may have no viewpoint at a wide spacing
-    views = [each for run in runs if len((each := views_of(observer, run, looks))["pose"])]
-    choices = protocol.choose(subject, HOMES, silent=True)
+    # a scene may have no viewpoint at a wide spacing
+    views = [each for run in runs if len((each := views_of(observer, run, sampling))["pose"])]
+    choices = protocol.select_thresholds(subject, SCENES, silent=True)
     seconds = medians(
         {
             "render": render_anew,
             "predict": predict,
-            "choose": lambda: protocol.choose(subject, HOMES, silent=True),
-            "measure": lambda: protocol.measure(subject, HOMES, choices, silent=True),
+            "choose": lambda: protocol.select_thresholds(subject, SCENES, silent=True),
+            "measure": lambda: protocol.evaluate(subject, SCENES, choices, silent=True),
         },
         least=3,
     )

@@ -14,7 +14,7 @@ from torch._dynamo.exc import BackendCompilerFailed
 from torch.utils.flop_counter import FlopCounterMode
 
 from imagination.geometry.grid import cells_of
-from imagination.models.segmentation.lit_segmentation import SegmentationTraining
+from imagination.models.segmentation.lit_segmentation import LitSegmentation
 from tests.benchmarks.measure import Figure, medians, unmeasured
 from tests.benchmarks.subjects import SEED, config
 
@@ -145,7 +145,7 @@ def training_step(
 
 def loss_of(module: LightningModule, batch: dict[str, Tensor]) -> Tensor:
     """Of a unit or of a first-person segmentation."""
-    if isinstance(module, SegmentationTraining):
+    if isinstance(module, LitSegmentation):
         return module.compare(batch)[0]
     loss, _ = module.loss(module(batch), batch["label"], batch["neighbourhood"])
     return loss

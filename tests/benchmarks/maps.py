@@ -19,13 +19,13 @@ from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import Band, project_categories, project_depth
 from imagination.mapping.mapper import Mapper
-from imagination.mapping.predictor import Description, Observation
+from imagination.mapping.predictor import Observation, UnitSpec
 from imagination.mapping.semantic_mapper import SemanticMapper
 from imagination.mapping.update_rules import Max, MovingAverage
 from imagination.scenes.renderer import Renderer
 from tests.benchmarks.measure import Figure, copying, medians
 from tests.benchmarks.rivals import VOXEL, PaddedRegistration, SplattedMapping, categories_of, points_in_cells
-from tests.benchmarks.subjects import SEED, camera, home, poses
+from tests.benchmarks.subjects import SEED, camera, poses, procedural_scene
 
 NAMES = ["chair", "bed", "table"]
 EGO = EgoGrid(0.02, 261)
@@ -56,8 +56,8 @@ def run(_: str) -> list[Figure]:
 
 
 def a_view() -> tuple[Float32[np.ndarray, "h w"], np.ndarray]:
-    """Depth of a home and a category for each pixel: of some random views, the one with most pixels of a category."""
-    scene = home()
+    """Depth of a scene and a category for each pixel: of some random views, the one with most pixels of a category."""
+    scene = procedural_scene()
     renderer = Renderer(scene.mesh, scene.lighting)
     lookup = scene.category_of_instance(NAMES)
     views = []
@@ -236,7 +236,7 @@ class Answering:
 
     def __init__(self) -> None:
         colours = tuple((0, 0, 0) for _ in NAMES)
-        self.description = Description(tuple(NAMES), colours, (0.5,) * len(NAMES), LENS, EGO, OBSTACLES)
+        self.spec = UnitSpec(tuple(NAMES), colours, (0.5,) * len(NAMES), LENS, EGO, OBSTACLES)
         self.answer, _ = statement()
 
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:

@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from imagination.scenes import renderer as module
 from imagination.scenes.renderer import Renderer
 from tests.benchmarks.measure import Figure, medians
-from tests.benchmarks.subjects import camera, home, poses, with_triangles
+from tests.benchmarks.subjects import camera, poses, procedural_scene, with_triangles
 
 VIEWS = 16
 """Rendered in a round."""
@@ -38,7 +38,7 @@ def run(_: str) -> list[Figure]:
 
 def measured(triangles: int, size: int) -> tuple[float, float]:
     """Seconds to render, and only to trace, a round of views."""
-    scene, lens = home(), camera(size)
+    scene, lens = procedural_scene(), camera(size)
     renderer = renderer_with(triangles)
     places = [lens.to_world(pose, scene.floor_height) for pose in poses(scene, VIEWS)]
     rays = [
@@ -58,19 +58,19 @@ def measured(triangles: int, size: int) -> tuple[float, float]:
 
 @lru_cache(1)
 def renderer_with(triangles: int) -> Renderer:
-    """Of a home with so many triangles."""
-    scene = home()
+    """Of a scene with so many triangles."""
+    scene = procedural_scene()
     return Renderer(with_triangles(scene.mesh, triangles), scene.lighting)
 
 
-def in_processes(rounds: int = 4) -> list[Figure]:
-    """Two processes, in turns with one of them: each renders so many rounds, and the slower one counts."""
+def in_processes(epochs: int = 4) -> list[Figure]:
+    """Two processes, in turns with one of them: each renders so many epochs, and the slower one counts."""
     figures = []
     workers = [ProcessPoolExecutor(1, get_context("spawn")) for _ in range(2)]
 
     def rendering(count: int, triangles: int, size: int) -> Callable[[], None]:
         def render() -> None:
-            for task in [worker.submit(_render, triangles, size, rounds) for worker in workers[:count]]:
+            for task in [worker.submit(_render, triangles, size, epochs) for worker in workers[:count]]:
                 task.result()
 
         return render
@@ -78,7 +78,7 @@ def in_processes(rounds: int = 4) -> list[Figure]:
     for triangles in TRIANGLES:
         for size in SIZES:
             times = medians({str(count): rendering(count, triangles, size) for count in (1, 2)}, SECONDS)
-            one, two = (count * rounds * VIEWS / times[str(count)] for count in (1, 2))
+            one, two = (count * epochs * VIEWS / times[str(count)] for count in (1, 2))
             what = f"rendering {size}², RGB + depth + ids, {triangles // 1000} k triangles, 2 processes"
             figures.append(Figure(what, two, "views/s", 2 * one, "twice 1 process"))
     for worker in workers:
@@ -86,8 +86,8 @@ def in_processes(rounds: int = 4) -> list[Figure]:
     return figures
 
 
-def _render(triangles: int, size: int, rounds: int) -> None:
-    scene, lens, renderer = home(), camera(size), renderer_with(triangles)
+def _render(triangles: int, size: int, epochs: int) -> None:
+    scene, lens, renderer = procedural_scene(), camera(size), renderer_with(triangles)
     places = [lens.to_world(pose, scene.floor_height) for pose in poses(scene, VIEWS)]
-    for place in rounds * places:
+    for place in epochs * places:
         renderer.render(lens, place)

@@ -1,4 +1,4 @@
-"""What is measured: homes with so many triangles, views, the desk's configuration."""
+"""What is measured: scenes with so many triangles, views, the small's configuration."""
 
 from __future__ import annotations
 
@@ -33,14 +33,16 @@ def observer(cache_folder: str, *overrides: str) -> Observer:
 
 
 @cache
-def home(number: int = 0) -> Scene:
-    """A procedural test home."""
+def procedural_scene(number: int = 0) -> Scene:
+    """A procedural test scene."""
     return observer("unused").source.load(f"test_{number:04d}")
 
 
 def home_of(area: float, tried: int = 8) -> Scene:
-    """Of the first few test homes, the one whose walls enclose nearest to `area` square metres."""
-    return min((home(number) for number in range(tried)), key=lambda scene: abs(floor_area(scene) - area))
+    """Of the first few test scenes, the one whose walls enclose nearest to `area` square metres."""
+    return min(
+        (procedural_scene(number) for number in range(tried)), key=lambda scene: abs(floor_area(scene) - area)
+    )
 
 
 def floor_area(scene: Scene) -> float:
@@ -54,7 +56,7 @@ def floor_area(scene: Scene) -> float:
 def with_triangles(mesh: Mesh, count: int) -> Mesh:
     """The same surfaces with at least `count` triangles: the furniture's largest are split into four, again and again.
 
-    Furniture, since that is where designed homes have theirs.
+    Furniture, since that is where designed scenes have theirs.
     """
     while len(mesh.faces) < count:
         corners = mesh.vertices[mesh.faces]
@@ -95,5 +97,5 @@ def camera(size: int) -> Camera:
 
 
 def poses(scene: Scene, count: int) -> list[Pose]:
-    """Random poses in a home."""
+    """Random poses in a scene."""
     return sample_poses(scene.free_space, count, np.random.default_rng(SEED))

@@ -7,26 +7,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 
 from imagination.mapping.mapper import Mapper
 from imagination.mapping.update_rules import MovingAverage
-from imagination.runs.preflight import check_shares
 from tests.benchmarks import __main__ as command
-from tests.benchmarks import buffer, gpu, maps, scaling, startup
+from tests.benchmarks import buffer, gpu, maps, startup
 from tests.benchmarks.measure import Figure, unmeasured
-from tests.benchmarks.scaling import Costs, Results, exchange, first_saturated, predicted, sizes
-from tests.benchmarks.subjects import config
-from tests.benchmarks.training import UNITS
-
-COSTS = Costs(1.0, 100.0, 0.9, 10e3, 1000.0, 100.0, 1.0, 50e6)
 
 
 def result(*figures: Figure, **about: Any) -> dict[str, Any]:
@@ -71,7 +62,8 @@ def test_each_section_tells_what_it_alone_was_made_with(tmp_path: Path) -> None:
     command.write(tmp_path, "maps", result(figure))
     page = (tmp_path / "results.md").read_text()
     assert (
-        page.count("by `python -m tests.benchmarks`") == 1 and "by `python -m tests.benchmarks`" in page.split("## ")[0]
+        page.count("by `python -m tests.benchmarks`") == 1
+        and "by `python -m tests.benchmarks`" in page.split("## ")[0]
     )
 
 
@@ -128,101 +120,6 @@ def test_a_section_that_fails_leaves_the_others(tmp_path: Path, monkeypatch: pyt
 def test_a_figure_without_a_value_meets_nothing() -> None:
     figure = replace(unmeasured("a", "no compiler"), target=1.0)
     assert figure.met is None and figure.ratio is None
-
-
-@pytest.mark.parametrize("machines", [1, 2, 3, *scaling.MACHINES[2:]])
-def test_machines_train_on_each_view_as_often_as_one(machines: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What each process collects and draws with a row's sizes, counted; they are shares that `train` accepts."""
-    monkeypatch.setattr(HydraConfig, "get", lambda: SimpleNamespace(mode=RunMode.RUN))
-    overrides = [f"scale.{name}={size}" for name, size in sizes(machines).items()]
-    run = config("unused", *overrides, "scale.homes.train=1000", f"trainer.devices={machines}")
-    check_shares(run)
-    collected = sum(
-        run.scale.parallel_scenes // machines * run.scale.update_interval for _ in range(machines)
-    )
-    drawn = sum(run.scale.batch_size // machines * run.scale.update_batches for _ in range(machines))
-    assert drawn / collected == scaling.DRAWS
-    assert run.scale.rounds * collected == pytest.approx(scaling.VIEWS, rel=1e-3)
-    # as many steps as the hours are made of, of as many views in each machine
-    assert run.scale.rounds * run.scale.update_batches == pytest.approx(
-        replace(COSTS, draws=scaling.DRAWS).steps(machines), rel=1e-3
-    )
-    assert run.scale.batch_size == machines * scaling.BATCH
-
-
-def test_a_ring_moves_nearly_twice_the_gradients() -> None:
-    assert exchange(1, 8.0, 2.0) == 0.0
-    assert exchange(2, 8.0, 2.0) == 4.0
-    assert exchange(1000, 8.0, 2.0) == pytest.approx(8.0, rel=0.01)
-
-
-def test_what_saturates_first_comes_from_the_numbers() -> None:
-    """A step computes 0.16 s and then exchanges 50 MB at 125 MB/s: 0.8 s with many machines, each of which asks the
-    storage for 160 kB, 1.28 ms; without an exchange it computes alone."""
-    assert first_saturated(COSTS.step) == "the storage, from 750 machines on"
-    assert first_saturated(replace(COSTS, gradients=0.0).step) == "the storage, from 126 machines on"
-    assert first_saturated(replace(COSTS, size=1.0).step) == (
-        "nothing before computing and exchanging, up to 10,000 machines"
-    )
-    assert (
-        first_saturated(replace(COSTS, reading=10.0).step)
-        == "the thread that reads shards, from 1 machine on"
-    )
-    assert first_saturated(COSTS.rendering) == "the storage, from 71 machines on"
-
-
-def test_time_is_that_of_the_busiest() -> None:
-    assert COSTS.epoch(1) == pytest.approx(scaling.VIEWS / 100)
-    assert COSTS.epoch(2) == pytest.approx(scaling.VIEWS / (2 * scaling.BATCH) * (0.16 + 0.4))
-    assert replace(COSTS, reading=10.0).epoch(1) == pytest.approx(scaling.VIEWS / 10)
-    # each view 8 times: as many more steps, none of which reads as much
-    assert replace(COSTS, draws=8.0).epoch(1) == pytest.approx(8 * scaling.VIEWS / 100)
-    assert replace(COSTS, draws=8.0, reading=10.0).epoch(1) == pytest.approx(scaling.VIEWS / 10)
-    alone = replace(COSTS, gradients=0.0, draws=8.0)
-    assert first_saturated(alone.step) == "the storage, from 1001 machines on"
-    # with more machines reading takes longer than computing and exchanging, and no longer falls
-    assert COSTS.epoch(749) > COSTS.epoch(750) == pytest.approx(COSTS.epoch(10_000), rel=1e-3)
-
-
-def test_the_page_tells_predicted_beside_measured() -> None:
-    results = {
-        "shards": [
-            Figure("home and truth for a corpus, 1 process", 1.0, "s a home"),
-            Figure("views written by 1 process", 100.0, "views/s"),
-            Figure("views written by 2 processes", 180.0, "views/s"),
-            Figure("size of a view", 10.0, "kB"),
-            Figure("views read by 1 process, chunks in the page cache", 1000.0, "views/s"),
-            Figure("views read by 2 processes, chunks in the page cache", 1600.0, "views/s"),
-        ],
-        "training": [
-            Figure("training, unit, resnet18, unet (default), bf16-mixed: whole rounds", 100.0, "samples/s"),
-        ],
-        "distributed": [
-            Figure(
-                "training step, default unit, 32-true, batch 16 and 1 thread a process, 1 process",
-                64,
-                "samples/s",
-            ),
-            Figure(
-                "training step, default unit, 32-true, batch 16 and 1 thread a process, 2 processes",
-                80,
-                "samples/s",
-            ),
-            Figure("gradients of a step", 50.0, "MB"),
-            Figure("exchange of a step's gradients alone, 2 processes", 400.0, "MB/s"),
-        ],
-    }
-    page = predicted(Results({"sections": {name: result(*figures) for name, figures in results.items()}}))
-    assert "| views written | 100.0/s | 200.0/s | 180.0/s | 1.11 |" in page
-    assert "| views read | 1000.0/s | 2000.0/s | 1600.0/s | 1.25 |" in page
-    # 16 views in 0.25 s, then 50 MB at 400 MB/s: 32 views in 0.375 s
-    assert "| 64.0/s | 85.3/s | 80.0/s | 1.07 |" in page
-    row = "`scale.batch_size=160 scale.parallel_scenes=160 scale.buffer_size=122880 scale.rounds=12500`"
-    assert row in page and f"each view {scaling.DRAWS:g} times" in page
-    assert scaling.UNIT in UNITS
-    del results["shards"][-1]
-    with pytest.raises(SystemExit, match="python -m tests.benchmarks shards"):
-        predicted(Results({"sections": {name: result(*figures) for name, figures in results.items()}}))
 
 
 @pytest.mark.parametrize("cells", [1001, 8001])

@@ -1,4 +1,4 @@
-"""A training step of each unit at desk scale: samples and FLOP a second, beside a plain matrix product's."""
+"""A training step of each unit at small scale: samples and FLOP a second, beside a plain matrix product's."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from imagination.data.augmentation import mirrored
 from imagination.data.collate import Batch, assemble
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.geometry.morphology import kernel_cells
-from imagination.models.lit_unit import UnitTraining
+from imagination.models.lit_unit import LitUnit
 from imagination.runs.resume import Run
 from imagination.train import build
 from imagination.utils.precision import resolved
-from tests.benchmarks.buffer import views_of_a_home
+from tests.benchmarks.buffer import views_of_a_scene
 from tests.benchmarks.measure import Figure, medians, unmeasured
 from tests.benchmarks.subjects import SEED, config
 
@@ -56,7 +56,7 @@ def run(folder: str) -> list[Figure]:
         step, speeds[name] = steps(folder, name, choice)
         figures += step
     for name, choice in UNITS.items():  # last, as a training sets much in its process
-        figures += rounds(folder, name, choice, speeds[name], 9 if choice == DEFAULT else 4)
+        figures += epochs(folder, name, choice, speeds[name], 9 if choice == DEFAULT else 4)
     return figures
 
 
@@ -99,23 +99,23 @@ class Clock(Callback):
         self.waiting.append(float(trainer.callback_metrics["train/waiting"]))
 
 
-def rounds(
+def epochs(
     folder: str, name: str, choice: tuple[str, Sequence[str]], speed: float, count: int
 ) -> list[Figure]:
-    """The training itself at desk scale: its workers render on the cores that it trains on.
+    """The training itself at small scale: its workers render on the cores that it trains on.
 
     Args:
         folder: of the cache.
         name, choice: the unit.
         speed: samples a second of its step alone.
-        count: rounds; the first warms up and the last one is validated, neither is counted.
+        count: epochs; the first warms up and the last one is validated, neither is counted.
     """
     experiment, overrides = choice
     sizes = (
-        f"scale.rounds={count}",
-        "scale.homes={train:16,val:2,test:2}",
+        f"scale.epochs={count}",
+        "scale.scenes={train:16,val:2,test:2}",
         "scale.prefill_steps=20",
-        "scale.held_out_views={val:16,test:16}",
+        "scale.eval_views={val:16,test:16}",
         "scale.eval_every=1000",
     )
     # with poses of its own: the cache would have those that another unit looked from
@@ -134,13 +134,13 @@ def rounds(
     what = f"training, {name}, {kind}"
     return [
         Figure(
-            f"{what}: whole rounds",
+            f"{what}: whole epochs",
             samples / median(np.diff(clock.ends)[:-1].tolist()),
             "samples/s",
             speed,
             "its step alone",
             rival=True,
-            note=f"{count - 2} rounds of {samples} samples after a first one, {run.scale.workers} processes render "
+            note=f"{count - 2} epochs of {samples} samples after a first one, {run.scale.workers} processes render "
             "meanwhile; the step alone was measured before",
         ),
         Figure(
@@ -155,20 +155,20 @@ def rounds(
 
 
 def batches(folder: str, layers: int, collections: int = 25) -> Callable[[], Batch]:
-    """What makes a batch at desk scale, of the first so many categories of the table."""
+    """What makes a batch at small scale, of the first so many categories of the table."""
     desk = config(folder)
     kernels = [
         kernel_cells(desk.kernels[name], desk.scale.resolution) for name in ("imaginable", "neighbourhood")
     ]
     buffer = ReplayBuffer(2000, desk.aggregation_factor)
-    views = views_of_a_home(folder)
+    views = views_of_a_scene(folder)
     for _ in range(collections):
         buffer.insert(views)
     rng = np.random.default_rng(SEED)
 
     def draw() -> Batch:
         views = buffer.draw(desk.scale.batch_size, rng)
-        which = rng.random(desk.scale.batch_size) < desk.scale.mirrored_share
+        which = rng.random(desk.scale.batch_size) < desk.scale.hflip_probability
         return assemble(mirrored(views, which), list(range(layers)), *kernels)
 
     return draw
@@ -179,7 +179,7 @@ def training_step(
     choice: tuple[str, Sequence[str]],
     kind: str,
     batch: Batch,
-    prepare: Callable[[UnitTraining], nn.Module] = lambda module: module,
+    prepare: Callable[[LitUnit], nn.Module] = lambda module: module,
 ) -> tuple[Callable[[], None], int]:
     """One step as configured (forward, loss, backward, optimiser), and the FLOP of its products and convolutions.
 
@@ -192,7 +192,7 @@ def training_step(
     """
     torch.manual_seed(SEED)
     experiment, overrides = choice
-    module: UnitTraining = instantiate(config(folder, *overrides, experiment=experiment).model.module)
+    module: LitUnit = instantiate(config(folder, *overrides, experiment=experiment).model.module)
     network = prepare(module)
     optimizer = module.optimizer(module.parameters())
 
@@ -214,11 +214,11 @@ def training_step(
 def engineering(folder: str, kind: str, batch: Batch, default: Callable[[], None]) -> list[Figure]:
     """What memory formats and torch.compile change of the default unit's step, in turns with it."""
 
-    def planar(module: UnitTraining) -> nn.Module:
+    def planar(module: LitUnit) -> nn.Module:
         module.unit.to(memory_format=torch.contiguous_format)
         return module
 
-    def compiled(module: UnitTraining) -> nn.Module:
+    def compiled(module: LitUnit) -> nn.Module:
         module.unit.compile()
         return module
 

@@ -1,11 +1,11 @@
-"""Ground truth of one home: made, and read from the cache."""
+"""Ground truth of one scene: made, and read from the cache."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
 
-from imagination.ground_truth.scene_maps import GroundTruthSpec, _looks, build, look_points
+from imagination.ground_truth.scene_maps import GroundTruthSpec, _panorama_poses, build, panorama_points
 from imagination.scenes import renderer as module
 from imagination.scenes.renderer import Renderer
 from imagination.scenes.scene import Scene
@@ -28,13 +28,13 @@ def run(folder: str) -> list[Figure]:
 
 
 def making(scene: Scene, watcher: Observer, scale: str, target: float) -> Figure:
-    """Truth from a home that is loaded."""
-    caster, spec = Renderer(scene.mesh, scene.lighting), watcher.truth_spec
-    trace, share, count = looks(scene, caster, spec)
+    """Truth from a scene that is loaded."""
+    caster, spec = Renderer(scene.mesh, scene.lighting), watcher.ground_truth_spec
+    trace, share, count = sampling(scene, caster, spec)
     make = partial(build, scene, caster, spec, watcher.categories)
     times = medians({"make": make, "trace": trace}, least=3)
     return Figure(
-        f"ground truth of a {floor_area(scene):.0f} m² home, {scale} scale, 1 process",
+        f"ground truth of a {floor_area(scene):.0f} m² scene, {scale} scale, 1 process",
         times["make"],
         "s",
         times["trace"] / share,
@@ -47,7 +47,7 @@ def making(scene: Scene, watcher: Observer, scale: str, target: float) -> Figure
 
 def loading(scene: Scene, watcher: Observer, scale: str) -> Figure:
     """The same from the cache."""
-    arrays, key = watcher.truth(scene.name).to_arrays(), watcher.truth_key(scene.name)
+    arrays, key = watcher.truth(scene.name).to_arrays(), watcher.ground_truth_key(scene.name)
     times = medians(
         {
             "load": lambda: watcher.cache.load("ground_truth", key),
@@ -59,10 +59,10 @@ def loading(scene: Scene, watcher: Observer, scale: str) -> Figure:
     return Figure(what, times["load"], "s", times["copy"], "copying the arrays", 0.2, at_most=True)
 
 
-def looks(scene: Scene, caster: Renderer, spec: GroundTruthSpec) -> tuple[Callable[[], None], float, int]:
-    """Traces some of the looks of a home's truth with bare Embree; their share of all, and how many all are."""
+def sampling(scene: Scene, caster: Renderer, spec: GroundTruthSpec) -> tuple[Callable[[], None], float, int]:
+    """Traces some of the looks of a scene's truth with bare Embree; their share of all, and how many all are."""
     lens = spec.camera
-    places = list(_looks(look_points(scene.free_space, spec.spacing), lens))
+    places = list(_panorama_poses(panorama_points(scene.free_space, spec.spacing), lens))
     some = places[:: max(1, len(places) // SOME)]
     rays = [
         module._rays(
@@ -78,8 +78,8 @@ def looks(scene: Scene, caster: Renderer, spec: GroundTruthSpec) -> tuple[Callab
     return trace, len(some) / len(places), len(places)
 
 
-def tracing(watcher: Observer, home: str) -> float:
-    """Seconds that bare Embree takes for all looks of a home's truth; runs in a worker process."""
-    scene = watcher.scene(home)
-    trace, share, _ = looks(scene, Renderer(scene.mesh, scene.lighting), watcher.truth_spec)
+def tracing(watcher: Observer, scene: str) -> float:
+    """Seconds that bare Embree takes for all looks of a scene's truth; runs in a worker process."""
+    scene = watcher.scene(scene)
+    trace, share, _ = sampling(scene, Renderer(scene.mesh, scene.lighting), watcher.ground_truth_spec)
     return medians({"trace": trace}, 0.5, 3)["trace"] / share

@@ -6,7 +6,7 @@ import pytest
 import torch
 from lightning import LightningModule, Trainer
 
-from imagination.callbacks.early_stopping import UntilFlat
+from imagination.callbacks.early_stopping import EarlyStopping
 from imagination.utils.errors import UserError
 
 
@@ -24,12 +24,12 @@ class Played(Trainer):
 MODULE = LightningModule()
 
 
-def callback(**changes: Any) -> UntilFlat:
-    settings = {"patience": 2, "margin": 0.01, "min_rounds": 1}
-    return UntilFlat("val/iou", **(settings | changes))
+def callback(**changes: Any) -> EarlyStopping:
+    settings = {"patience": 2, "margin": 0.01, "min_epochs": 1}
+    return EarlyStopping("val/iou", **(settings | changes))
 
 
-def play(until: UntilFlat, fake: Played, scores: list[float]) -> int:
+def play(until: EarlyStopping, fake: Played, scores: list[float]) -> int:
     """How many of the scores were reached before training ended."""
     for number, score in enumerate(scores, start=1):
         fake.callback_metrics["val/iou"] = torch.tensor(score)
@@ -46,15 +46,15 @@ def test_training_ends_when_the_score_stays_flat() -> None:
 
 
 def test_it_lasts_at_least_as_long_as_its_schedule() -> None:
-    assert play(callback(min_rounds=8), Played(), [0.1] * 20) == 8
+    assert play(callback(min_epochs=8), Played(), [0.1] * 20) == 8
 
 
 def test_ending_before_the_schedule_is_told(caplog: pytest.LogCaptureFixture) -> None:
-    """As with trainer.max_epochs below scale.hrnet_rounds: flat or not, what ends before its schedule is told."""
-    until, fake = callback(min_rounds=8), Played()
+    """As with trainer.max_epochs below scale.hrnet_epochs: flat or not, what ends before its schedule is told."""
+    until, fake = callback(min_epochs=8), Played()
     play(until, fake, [0.1] * 7)  # trainer.max_epochs
     until.on_train_end(fake, MODULE)
-    assert until.flat and "ended after 7 rounds" in caplog.text and "8 rounds" in caplog.text
+    assert until.flat and "ended after 7 epochs" in caplog.text and "8 epochs" in caplog.text
     caplog.clear()
     play(until, fake, [0.1])
     until.on_train_end(fake, MODULE)
@@ -83,7 +83,7 @@ def test_a_finished_training_that_is_resumed_ends_at_once() -> None:
 
 
 def test_values_out_of_range_are_refused() -> None:
-    with pytest.raises(UserError, match=r"until_flat\.margin: got -0.1"):
-        callback(margin=-0.1)
-    with pytest.raises(UserError, match=r"until_flat\.patience: got 0"):
+    with pytest.raises(UserError, match=r"early_stopping\.margin: got -0.1"):
+        callback(min_delta=-0.1)
+    with pytest.raises(UserError, match=r"early_stopping\.patience: got 0"):
         callback(patience=0)

@@ -26,8 +26,8 @@ def batches(device: str, accumulate: int) -> list[Batch]:
     trainer = Mock(spec=Trainer, current_epoch=2, accumulate_grad_batches=accumulate, datamodule=data)
     trainer.strategy.root_device = torch.device(device)
     callback.on_fit_start(trainer, Mock(spec=LightningModule))
-    assert len(data.rounds) == 7 * accumulate
-    return list(data.rounds)
+    assert len(data.epochs) == 7 * accumulate
+    return list(data.epochs)
 
 
 @pytest.mark.parametrize("accumulate", [1, 3])

@@ -9,7 +9,7 @@ from lightning import LightningModule
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from imagination.callbacks.training_stats import TrainingRecord
+from imagination.callbacks.training_stats import TrainingStats
 
 VIEWS, BATCHES = 4, 3
 DRAWING, STEP, COLLECTING = 0.05, 0.02, 0.1  # seconds
@@ -55,7 +55,7 @@ class Drawn:
 
 
 def test_a_training_is_counted_and_timed_with_its_drawing() -> None:
-    module, record = Slow(), TrainingRecord()
+    module, record = Slow(), TrainingStats()
     trainer = lightning.Trainer(
         max_epochs=2, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
         enable_model_summary=False, num_sanity_val_steps=0, callbacks=[record],
@@ -65,7 +65,7 @@ def test_a_training_is_counted_and_timed_with_its_drawing() -> None:
     trainer.fit(module, Drawn(), held_out)
     took = time.monotonic() - began
     state = record.state_dict()
-    assert (state["rounds"], state["samples"], state["views"]) == (2, 2 * BATCHES * VIEWS, 7)
+    assert (state["epochs"], state["samples"], state["views"]) == (2, 2 * BATCHES * VIEWS, 7)
     assert state["best"] == pytest.approx(0.5)
     assert 2 * BATCHES * (DRAWING + STEP) <= state["seconds"] <= took
     assert all(0 < speed <= VIEWS / (DRAWING + STEP) for speed in module.speeds) and module.speeds
@@ -75,6 +75,6 @@ def test_a_training_is_counted_and_timed_with_its_drawing() -> None:
     )
     assert module.steps == [BATCHES - 1, 2 * BATCHES - 1]  # where a validation stands among the updates
 
-    resumed = TrainingRecord()
+    resumed = TrainingStats()
     resumed.load_state_dict(state)
     assert resumed.state_dict()["samples"] == state["samples"]

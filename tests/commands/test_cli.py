@@ -53,13 +53,15 @@ def test_a_whole_run(command: Command, tmp_path: Path) -> None:
     assert shown >= {"global/chair/imagination/val", "global/chair/seg_gt/3m"}
     assert shown >= {"views/val", "maps/chair/val", "maps/chair/3m"}  # pictures
     assert "tensorboard --logdir outputs/chair_unet" in done.stderr
-    assert all(share in done.stderr for share in ("homes and truth", "training", "evaluation", "Peak memory"))
+    assert all(
+        share in done.stderr for share in ("scenes and truth", "training", "evaluation", "Peak memory")
+    )
     again = next(line for line in done.stderr.splitlines() if line.startswith("Evaluate again: "))
     assert "=" not in again.partition("ckpt=")[2]
     done = command(*again.partition("imagination.")[2].split())
     assert done.returncode == 0, done.stderr
     evaluated = next(run.parent.glob("evaluate_*"))
-    for table in ("mapping.csv", "paired.csv", "runs.csv"):
+    for table in ("mapping.csv", "paired.csv", "trials.csv"):
         assert (evaluated / "tables" / table).read_bytes() == (run / "tables" / table).read_bytes()
 
 
@@ -107,7 +109,7 @@ def test_an_accelerator_that_is_not_there_is_told(command: Command) -> None:
 @pytest.mark.slow
 def test_a_killed_worker_is_told_and_the_run_goes_on(command: Command, tmp_path: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "imagination.train", "scale=test", "scale.workers=2", "scale.rounds=500"],
+        [sys.executable, "-m", "imagination.train", "scale=test", "scale.workers=2", "scale.epochs=500"],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         stderr=subprocess.PIPE,
@@ -126,8 +128,8 @@ def test_a_killed_worker_is_told_and_the_run_goes_on(command: Command, tmp_path:
     assert process.returncode == 2 and "Traceback" not in told, told
     assert "take fewer with scale.workers; go on with the same command and ckpt_path=outputs/custom/" in told
     last = only(tmp_path, "outputs/custom/2*/checkpoints/last.ckpt")
-    rounds = torch.load(last, weights_only=True)["epoch"] + 3
-    done = command("train", f"ckpt_path={last}", "scale.workers=0", f"trainer.max_epochs={rounds}")
+    epochs = torch.load(last, weights_only=True)["epoch"] + 3
+    done = command("train", f"ckpt_path={last}", "scale.workers=0", f"trainer.max_epochs={epochs}")
     assert done.returncode == 0, done.stderr
 
 
@@ -162,7 +164,7 @@ def only(folder: Path, pattern: str) -> Path:
 @pytest.mark.parametrize("name", ["train", "render"])
 def test_ctrl_c_while_homes_are_built(tmp_path: Path, name: str) -> None:
     """To the whole group, as a terminal sends it: a message and nothing else, within seconds."""
-    arguments = ["scale.homes.train=40", "scale.truth_image=512", "scale.resolution=0.03", "scale.workers=2"]
+    arguments = ["scale.scenes.train=40", "scale.gt_image=512", "scale.resolution=0.03", "scale.workers=2"]
     process = subprocess.Popen(
         [sys.executable, "-m", f"imagination.{name}", "scale=test", *arguments],
         cwd=tmp_path,
@@ -190,7 +192,7 @@ def test_ctrl_c_while_homes_are_built(tmp_path: Path, name: str) -> None:
 
 
 def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
-    arguments = ["+experiment=chair_unet", "scale=test", "scale.rounds=10000", "scale.eval_every=10000"]
+    arguments = ["+experiment=chair_unet", "scale=test", "scale.epochs=10000", "scale.eval_every=10000"]
     with open(tmp_path / "told", "w") as told:
         process = subprocess.Popen(
             [sys.executable, "-m", "imagination.train", *arguments],
@@ -224,10 +226,10 @@ def test_the_study_runs_and_does_nothing_twice(command: Command, tmp_path: Path)
     assert done.returncode == 0, done.stderr
     again = command(*arguments, timeout=900)
     assert again.returncode == 0, again.stderr
-    assert again.stderr.count("already trained") == 3 and "training rounds" not in again.stderr
+    assert again.stderr.count("already trained") == 3 and "training epochs" not in again.stderr
     tables = [path / "tables" for path in sorted((tmp_path / "outputs" / "study").glob("evaluate_*"))]
     assert len(tables) == 2
-    for name in ("mapping.csv", "paired.csv", "runs.csv", "training.csv", "furniture.csv"):
+    for name in ("mapping.csv", "paired.csv", "trials.csv", "training.csv", "furniture.csv"):
         assert (tables[0] / name).read_bytes() == (tables[1] / name).read_bytes()
     rows = list(csv.DictReader((tables[0] / "mapping.csv").read_text().splitlines()))
     approaches = {
@@ -246,14 +248,14 @@ def test_the_study_runs_and_does_nothing_twice(command: Command, tmp_path: Path)
 
 @pytest.mark.slow
 def test_the_papers_scale_takes_its_first_steps_on_a_cpu(command: Command, tmp_path: Path) -> None:
-    """With all its numbers but the batch's size and how many homes there are; then one viewpoint set."""
-    fewer = ["scale.homes={train:1,val:1,test:1}", "scale.batch_size=2", "evaluation.viewpoint_sets=1"]
+    """With all its numbers but the batch's size and how many scenes there are; then one viewpoint set."""
+    fewer = ["scale.scenes={train:1,val:1,test:1}", "scale.batch_size=2", "evaluation.viewpoint_sets=1"]
     steps = ["+experiment=chair_unet", "scale=paper", *fewer, "trainer.fast_dev_run=2"]
     done = command("train", *steps, timeout=3000)
     assert done.returncode == 0, done.stderr
     rows = list(csv.DictReader(only(tmp_path / "outputs", "**/mapping.csv").read_text().splitlines()))
     assert {(row["cell_width"], row["runs"]) for row in rows} == {("3", "1"), ("2.5", "1"), ("2", "1")}
-    assert all(int(row["truth_pixels"]) > 0 for row in rows)
+    assert all(int(row["gt_pixels"]) > 0 for row in rows)
 
 
 @pytest.mark.slow

@@ -72,7 +72,7 @@ def test_a_tum_folder_and_a_bag_give_the_map_of_the_scene(
 
 @pytest.mark.slow
 def test_a_drive_through_a_homes_corridor(command: Command, tmp_path: Path, unit_file: Path) -> None:
-    """The same in a furnished home, along the longest way through it."""
+    """The same in a furnished scene, along the longest way through it."""
     from hydra.utils import instantiate
 
     from imagination.config.compose import compose
@@ -102,7 +102,7 @@ def test_a_corrupt_image_leaves_the_map_before_it(
     assert maps.grid.columns == 25 and maps.known.sum() > 50
     assert maps.thresholds == (0.3,)
     found = load_objects(tmp_path / "outputs" / "map" / "latest" / "objects.geojson")
-    assert sum(thing.area for thing in found) > sum(thing.area for thing in at(maps, 0.55).objects())
+    assert sum(obj.area for obj in found) > sum(obj.area for obj in at(maps, 0.55).objects())
 
 
 def test_the_map_has_the_frame_of_the_recording_and_survives_a_viewer_that_breaks(

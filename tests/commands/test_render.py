@@ -65,5 +65,5 @@ def test_another_source_is_drawn_as_well(command: Command, tmp_path: Path) -> No
 
 def test_a_scene_that_is_a_path_is_drawn_into_the_folder() -> None:
     assert folder_name("test_0000") == "test_0000"
-    assert folder_name("/data/homes/a.glb") == "data_homes_a.glb"
+    assert folder_name("/data/scenes/a.glb") == "data_homes_a.glb"
     assert folder_name("../b c") == "b_c"

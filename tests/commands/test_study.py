@@ -121,7 +121,7 @@ def test_what_only_evaluation_reads_retrains_nothing() -> None:
         "ade20k=a",
     ):
         assert evaluated(override), override
-    for override in ("scale=test", "kernels.imaginable=1.2", "model/loss=bce_dice", "scale.rounds=3"):
+    for override in ("scale=test", "kernels.imaginable=1.2", "model/loss=bce_dice", "scale.epochs=3"):
         assert not evaluated(override), override
 
 

@@ -51,17 +51,17 @@ def check_sizes(experiment: str, scale: str, overrides: list[str]) -> None:
     sizes = read(CONF / "scale" / f"{scale}.yaml")
     assert resolved["scale"] == sizes
     assert resolved["name"] == experiment
-    rounds = "hrnet_most_rounds" if resolved["model"]["predicts"] == "images" else "rounds"
-    assert resolved["trainer"]["max_epochs"] == sizes[rounds]
+    epochs = "hrnet_max_epochs" if resolved["model"]["predicts"] == "images" else "epochs"
+    assert resolved["trainer"]["max_epochs"] == sizes[epochs]
     assert resolved["data"]["module"]["batch_size"] == sizes["batch_size"]
     assert resolved["data"]["observer"]["camera"]["width"] == sizes["image"]
     assert resolved["ego"]["resolution"] == resolved["ground_truth"]["resolution"] == sizes["resolution"]
     assert resolved["model"]["optimizer"]["lr"] == sizes["learning_rate"]
-    final = "hrnet_final_learning_rate" if rounds == "hrnet_most_rounds" else "final_learning_rate"
+    final = "hrnet_final_learning_rate" if epochs == "hrnet_max_epochs" else "final_learning_rate"
     assert resolved["model"]["scheduler"]["eta_min"] == sizes[final]
     assert (
         resolved["model"]["scheduler"]["T_max"]
-        == sizes["hrnet_rounds" if rounds == "hrnet_most_rounds" else "rounds"]
+        == sizes["hrnet_epochs" if epochs == "hrnet_max_epochs" else "epochs"]
     )
     assert resolved["evaluation"]["cell_widths"] == sizes["cell_widths"]
     validate(config)
@@ -86,15 +86,15 @@ def test_paper_holds_the_appendix() -> None:
     scale, kernels = config.scale, config.kernels
     assert (scale.learning_rate, scale.batch_size, scale.buffer_size) == (0.001, 108, 12288)
     assert (scale.update_interval, scale.update_batches, scale.parallel_scenes) == (5, 20, 16)
-    assert (scale.homes.test, scale.viewpoint_sets, scale.orientations) == (60, 10, 2)
+    assert (scale.scenes.test, scale.viewpoint_sets, scale.orientations) == (60, 10, 2)
     assert list(scale.cell_widths) == [3.0, 2.5, 2.0]
     assert cells_of(scale.ego_extent, scale.resolution) == 261
     assert cells_of(scale.world_extent, scale.resolution) == 2001
-    sizes = kernels.imaginable, kernels.neighbourhood, kernels.truth
+    sizes = kernels.imaginable, kernels.neighbourhood, kernels.ground_truth
     assert [kernel_cells(size, scale.resolution) for size in sizes] == [50, 31, 30]
     assert config.model.optimizer._target_ == "torch.optim.Adam"
-    assert (scale.mirrored_share, scale.mirrored_answers, scale.dilated_answers) == (0.0, False, 0.0)
-    assert list(scale.heights) == [] and scale.balanced_share == 0.0 and scale.encoder_shrink == 1
+    assert (scale.hflip_probability, scale.tta_hflip, scale.postprocess_dilation) == (0.0, False, 0.0)
+    assert list(scale.heights) == [] and scale.balanced_fraction == 0.0 and scale.encoder_shrink == 1
     assert config.aggregation_factor == 0.9
     assert config.callbacks.replay_buffer.aggregation_factor == 0.9
     assert config.mapping.registration.aggregation_factor == 0.9
@@ -104,17 +104,17 @@ def test_paper_holds_the_appendix() -> None:
     ("override", "told"),
     [
         ("kernels.imaginable=-1", r"kernels.imaginable: got -1, expected a number in \[0.005, 10.0\] m"),
-        ("kernels.truth=nan", "kernels.truth: got nan"),
+        ("kernels.ground_truth=nan", "kernels.ground_truth: got nan"),
         ("scale.resolution=0", "scale.resolution: got 0"),
         ("aggregation_factor=1.5", r"aggregation_factor: got 1.5, expected a number in \[0.0, 1.0\]"),
         ("aggregation_factor=much", "aggregation_factor: got 'much'"),
         ("scale.cell_widths=[3.0,0]", "scale.cell_widths: got 0"),
         ("scale.cell_widths=3.0", "expected a list"),
-        ("scale.mirrored_answers=maybe", "scale.mirrored_answers: got 'maybe', expected true or false"),
+        ("scale.tta_hflip=maybe", "scale.tta_hflip: got 'maybe', expected true or false"),
         ("scale.precision=half", "scale.precision: got 'half', expected one of: 16-mixed"),
         ("trainer.precision=64-true", "trainer.precision: got '64-true'"),
         ("evaluation.precision=half", "evaluation.precision: got 'half'"),
-        ("scale.rounds=2.5", "scale.rounds: got 2.5, expected a whole number"),
+        ("scale.epochs=2.5", "scale.epochs: got 2.5, expected a whole number"),
         ("trainer.max_epochs=null", "trainer.max_epochs: got None"),
         ("scale.world_extent=9000", "choose a coarser resolution or a smaller extent"),
         ("unit_categories=[sofa]", "got 'sofa', expected one of: bed, chair, table"),
@@ -129,10 +129,10 @@ def test_out_of_range_is_refused(override: str, told: str) -> None:
 
 
 def test_a_baseline_trains_as_long_as_the_units() -> None:
-    for override in ("scale.rounds=85", "scale.hrnet_most_rounds=83"):
-        with pytest.raises(UserError, match="scale.hrnet_rounds: got 84, expected scale.rounds"):
-            validate(compose("train", ["+experiment=segmentation_hrnet", "scale=desk", override]))
-        validate(compose("train", ["+experiment=chair_unet", "scale=desk", override]))
+    for override in ("scale.epochs=85", "scale.hrnet_max_epochs=83"):
+        with pytest.raises(UserError, match="scale.hrnet_epochs: got 84, expected scale.epochs"):
+            validate(compose("train", ["+experiment=segmentation_hrnet", "scale=small", override]))
+        validate(compose("train", ["+experiment=chair_unet", "scale=small", override]))
 
 
 def test_a_small_imaginable_mask_warns() -> None:
@@ -146,7 +146,7 @@ def test_unknown_options_list_those_that_exist() -> None:
 
 
 def test_a_category_is_added_by_config() -> None:
-    row = "+categories.stool={colour: [90, 160, 90], members: {procedural: [stool]}}"
+    row = "+categories.stool={colour: [90, 160, 90], aliases: {procedural: [stool]}}"
     config = compose("train", [row, "unit_categories=[stool]"])
     validate(config)
     assert list(config.categories) == ["chair", "bed", "table", "stool"]

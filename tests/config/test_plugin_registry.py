@@ -143,5 +143,5 @@ def test_the_example_adds_scenes_a_unit_and_a_callback(
     done = command("train", "+experiment=blind_seats", "scale=test")
     assert done.returncode == 0, done.stderr
     run = tmp_path / "outputs" / "blind_seats" / "latest"
-    assert (run / "rounds.txt").read_text() == "2"
+    assert (run / "epochs.txt").read_text() == "2"
     assert "chair" in (run / "tables" / "mapping.csv").read_text()

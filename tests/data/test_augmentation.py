@@ -21,7 +21,7 @@ def test_maps_of_a_mirrored_image_are_the_mirrored_maps() -> None:
     turned = mirrored(views, which)
     again_occupied, again_seen = project(turned["depth"])
     assert np.array_equal(turned["occupied"], again_occupied) and occupied.mean() > 0.01
-    # floor between two returns is seen along a line of cells, which rounds to one side
+    # floor between two returns is seen along a line of cells, which epochs to one side
     assert (turned["seen"] != again_seen).mean() < 0.01 < seen.mean()
     assert np.array_equal(turned["rgb"][0, :, 0], rgb[0, :, -1])
     assert "pose" not in turned

@@ -94,19 +94,19 @@ def test_an_unknown_category_names_those_that_exist(tmp_path: Path) -> None:
 
 
 def test_a_category_that_no_home_contains_is_refused(tmp_path: Path) -> None:
-    plain = data(tmp_path)
+    as_plain = data(tmp_path)
     lamps = CategoryTable([*TABLE.rows, Category("piano", (0, 0, 0), {"rooms": ["piano"]})])
     asks = Observer(
         **{
             **{
-                name: getattr(plain.observer, name)
-                for name in ("source", "camera", "sensor", "ego", "obstacles", "truth_spec", "cache")
+                name: getattr(as_plain.observer, name)
+                for name in ("source", "camera", "sensor", "ego", "obstacles", "ground_truth_spec", "cache")
             },
             "categories": lamps,
         }
     )
     module = SceneData(asks, ["piano"], UniformPoses(), UniformPoses(), 1.0, 0.62, 1, 4, 5, {}, 0)
-    with pytest.raises(UserError, match="category 'piano': none of the 3 homes of the split 'train'"):
+    with pytest.raises(UserError, match="category 'piano': none of the 3 scenes of the split 'train'"):
         module.setup("fit")
 
 

@@ -47,8 +47,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", ["both.onnx", "both.pt2"])
 def test_it_answers_as_pytorch(files: Path, name: str) -> None:
     module, reference = load(files / name), load([files / "chair.ckpt", files / "bed.ckpt"])
-    assert module.description == reference.description
-    assert module.description.categories == ("chair", "bed")
+    assert module.spec == reference.spec
+    assert module.spec.categories == ("chair", "bed")
     views = samples(6, categories=2)
     check = compare(module, reference, views)
     assert check.difference < 1e-4
@@ -61,9 +61,9 @@ def test_it_answers_as_pytorch(files: Path, name: str) -> None:
 
 
 def test_a_unit_may_look_once(tmp_path: Path) -> None:
-    file, views = make_checkpoint(tmp_path / "chair.ckpt", "scale.dilated_answers=0"), samples(3)
+    file, views = make_checkpoint(tmp_path / "chair.ckpt", "scale.postprocess_dilation=0"), samples(3)
     chair = Checkpoint.read(file)
-    assert chair.config.scale.mirrored_answers
+    assert chair.config.scale.tta_hflip
     export([chair], tmp_path / "once.onnx", "onnx", "float32", views, look_once=True)
     export([chair], tmp_path / "twice.onnx", "onnx", "float32", views)
     files = tmp_path / "once.onnx", tmp_path / "twice.onnx"
@@ -107,7 +107,7 @@ def test_it_maps_as_the_checkpoint_does(files: Path) -> None:
         theirs.update(*frame)
     np.testing.assert_allclose(ours.maps.probabilities, theirs.maps.probabilities, atol=1e-3)
     assert ours.maps.thresholds == theirs.maps.thresholds == (0.8,)
-    assert SemanticMapper(load(files / "both.onnx")).description.thresholds == (0.8, 0.65)
+    assert SemanticMapper(load(files / "both.onnx")).spec.thresholds == (0.8, 0.65)
 
 
 WITHOUT_TORCH = """
@@ -181,7 +181,7 @@ def test_a_checkpoint_that_segments_images_is_refused(files: Path, tmp_path: Pat
     state = torch.load(files / "chair.ckpt", weights_only=True)
     config = compose("train", ["+experiment=segmentation_hrnet", "scale=test", "paths.run=."])
     OmegaConf.update(config, "choices", ["+experiment=segmentation_hrnet", "scale=test"])
-    torch.save(state | {KEY: ConfigInCheckpoint(config).description}, tmp_path / "hrnet.ckpt")
+    torch.save(state | {KEY: ConfigInCheckpoint(config).spec}, tmp_path / "hrnet.ckpt")
     with pytest.raises(
         UserError, match=r"hrnet.ckpt, which gives images, expected a checkpoint that gives maps"
     ):
@@ -234,7 +234,7 @@ class Fixed(Toy):
 
     def __init__(self, answer: np.ndarray) -> None:
         super().__init__("chair", "bed")
-        self.description = replace(self.description, thresholds=(0.6, 0.8))
+        self.spec = replace(self.spec, thresholds=(0.6, 0.8))
         self.answer = answer
 
     def __call__(self, observation: Observation) -> np.ndarray:
@@ -322,7 +322,7 @@ def test_bfloat16_costs_a_trained_unit_half_a_point_at_most(tmp_path: Path) -> N
     ],
 )
 def test_the_command(files: Path, command: Command, format: str, how: str) -> None:
-    """On homes of the run; units that were never trained find little, so the limit on IoU is wide here."""
+    """On scenes of the run; units that were never trained find little, so the limit on IoU is wide here."""
     how, file = how.format(files), f"chair{'.onnx' if format == 'onnx' else '.pt2'}"
     arguments = [f"ckpt={files / 'chair.ckpt'}", f"format={format}", how, "views=16", "max_loss=0.1"]
     done = command("export", *arguments, f"file={file}", timeout=600)

@@ -68,7 +68,7 @@ class Timed:
 
     def __init__(self, path: Path) -> None:
         self.ask = Stopwatch(load(path))
-        self.description = self.ask.function.description
+        self.spec = self.ask.function.spec
 
     def __call__(self, observation: Observation) -> np.ndarray:
         return self.ask(observation)
@@ -76,15 +76,15 @@ class Timed:
 
 @pytest.fixture(scope="module", params=[True, False], ids=["looks once", "looks twice"])
 def unit(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
-    """Three units of width 16 (the desk's), each with an encoder of its own, side by side in one ONNX file."""
+    """Three units of width 16 (the small's), each with an encoder of its own, side by side in one ONNX file."""
     folder = tmp_path_factory.mktemp("units")
-    choices = ("scale=desk", "scale.precision=32-true")
+    choices = ("scale=small", "scale.precision=32-true")
     checkpoints = [
         Checkpoint.read(make_checkpoint(folder / f"{name}.ckpt", *choices, f"unit_categories=[{name}]"))
         for name in CATEGORIES
     ]
     rgb, depth = np.zeros((128, 128, 3), np.uint8), np.full((128, 128), 2.0, np.float32)
-    view = project_depth(depth, DESK, EgoGrid.of_extent(5.22, 0.06), Toy().description.obstacles)
+    view = project_depth(depth, DESK, EgoGrid.of_extent(5.22, 0.06), Toy().spec.obstacles)
     first = Observation(rgb, depth, view.occupied, view.seen, DESK.mount_height)
     sample = Sample(first, np.zeros((3, 87, 87), np.bool_))
     file = folder / ("once.onnx" if request.param else "twice.onnx")

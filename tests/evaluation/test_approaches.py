@@ -102,14 +102,14 @@ def test_finishing_the_score_is_finishing_the_thresholded_map(
 ) -> None:
     thresholded, truth = score >= threshold, score[::-1] >= 0.5
     cells = max(1, round(kernel / 0.1))
-    for finish, expected in (
-        ("keep", thresholded),
+    for postprocess, expected in (
+        ("none", thresholded),
         ("close", close(thresholded, cells)),
-        ("grow", dilate(thresholded, cells)),
+        ("dilate", dilate(thresholded, cells)),
         ("truth", thresholded & truth),
     ):
-        approach = Approach(SeenPrediction(), Max(), finish, (kernel,))
-        assert ((approach.finished(score, truth, kernel, 0.1) >= threshold) == expected).all()
+        approach = Approach(SeenPrediction(), Max(), postprocess, (kernel,))
+        assert ((approach.apply_postprocess(score, truth, kernel, 0.1) >= threshold) == expected).all()
 
 
 def test_a_perfect_prediction_gives_a_perfect_map() -> None:
@@ -136,11 +136,11 @@ def test_cropping_to_the_reach_of_views_changes_no_count() -> None:
     rng = np.random.default_rng(1)
     grid = Grid.centred(6.1, 0.1)
     truth = np.zeros((3, *grid.shape), bool)
-    truth[1, 5:9, 50:58] = True  # far from the views, still part of the home
+    truth[1, 5:9, 50:58] = True  # far from the views, still part of the scene
     maps = GroundTruth(grid, truth.any(axis=0), truth, truth, truth, np.zeros((1, 2)))
     views = {"pose": np.array([[-1.03, -1.2, 0.4], [-0.6, -1.5, 2.0]]), "seen": rng.random((2, 9, 9)) < 0.8}
     probabilities = rng.random((2, 1, 9, 9)).astype(np.float32)
-    approaches = {"seen_dilated": Approach(SeenPrediction(), MovingAverage(0.9), "grow", (0.3,))}
+    approaches = {"seen_dilated": Approach(SeenPrediction(), MovingAverage(0.9), "dilate", (0.3,))}
     area = area_of(maps, [1], views["pose"], EGO, 0.3)
     assert area.grid.rows < grid.rows
 
@@ -148,8 +148,8 @@ def test_cropping_to_the_reach_of_views_changes_no_count() -> None:
         score = score_maps(views, {"maps": probabilities}, approaches, SETTING, where, np.arange(2))[
             "seen_dilated"
         ][0]
-        finished = approaches["seen_dilated"].finished(score, layer, 0.3, 0.1)
-        return [int(x) for x in count(finished >= 0.5, layer)]
+        apply_postprocess = approaches["seen_dilated"].apply_postprocess(score, layer, 0.3, 0.1)
+        return [int(x) for x in count(apply_postprocess >= 0.5, layer)]
 
     assert counted(area.grid, area.truth[0]) == counted(grid, truth[1])
 
@@ -160,7 +160,7 @@ def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(UserError, match="expected one of: close, grow, keep, truth"):
         Approach(SeenPrediction(), Max(), "melt")
     with pytest.raises(UserError, match=r"approach\.kernels: got -0\.1"):
-        Approach(SeenPrediction(), Max(), "grow", (-0.1,))
+        Approach(SeenPrediction(), Max(), "dilate", (-0.1,))
 
 
 def test_a_predicted_segmentation_is_projected_in_the_truth_s_place() -> None:

@@ -8,7 +8,7 @@ import pytest
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.compose import compose
-from imagination.evaluation.checkpoint_config import check_homes, configured
+from imagination.evaluation.checkpoint_config import check_scenes, evaluation_config
 from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint
 from imagination.utils.errors import UserError
 from tests.helpers.room_source import Rooms
@@ -55,7 +55,7 @@ def test_without_overrides_everything_is_as_in_the_run() -> None:
         "kernels.imaginable=0.9",
     ]  # in the place of references
     trained = compose("train", [*choices, *values, "paths.run=."])
-    evaluated = configured([checkpoint(choices, *values)], ["ckpt=best.ckpt"])
+    evaluated = evaluation_config([checkpoint(choices, *values)], ["ckpt=best.ckpt"])
     assert evaluated.sweep_dir is None  # holds the time, and would pass for what was swept
     for key in NODES:
         assert node(evaluated, key) == node(trained, key), key
@@ -64,7 +64,7 @@ def test_without_overrides_everything_is_as_in_the_run() -> None:
 def test_an_override_reaches_everything_that_refers_to_it() -> None:
     kept = checkpoint(["scale=test"], "seed=3", "aggregation_factor=0.5", "scale.viewpoint_sets=2")
     changes = ["aggregation_factor=0.9", "scale.viewpoint_sets=1", "evaluation.cell_widths=[4]"]
-    config = configured([kept], ["ckpt=best.ckpt", *changes])
+    config = evaluation_config([kept], ["ckpt=best.ckpt", *changes])
     assert config.seed == 3
     assert config.mapping.registration.aggregation_factor == 0.9  # the default, although the run had another
     assert config.evaluation.viewpoint_sets == 1
@@ -76,18 +76,18 @@ def test_an_override_reaches_everything_that_refers_to_it() -> None:
     [
         "model=projected",
         "model/encoder=timm",
-        "model.unit.dilated_answers=0.1",
-        "scale.mirrored_answers=false",
-        "scale.dilated_answers=0.1",
+        "model.unit.postprocess_dilation=0.1",
+        "scale.tta_hflip=false",
+        "scale.postprocess_dilation=0.1",
     ],
 )
 def test_networks_stay_as_they_were_trained(chair: Checkpoint, change: str) -> None:
     with pytest.raises(UserError, match=f"got {change}, but networks are evaluated as they were trained"):
-        configured([chair], ["ckpt=best.ckpt", change])
+        evaluation_config([chair], ["ckpt=best.ckpt", change])
 
 
 def test_the_registration_rule_can_be_swept(chair: Checkpoint) -> None:
-    config = configured([chair], ["ckpt=best.ckpt", "mapping/registration=overwrite"])
+    config = evaluation_config([chair], ["ckpt=best.ckpt", "mapping/registration=overwrite"])
     assert config.evaluation.approaches.imagination.rule._target_.endswith("Overwrite")
     assert config.evaluation.approaches.seg_gt.rule._target_.endswith("Max")
 
@@ -95,11 +95,11 @@ def test_the_registration_rule_can_be_swept(chair: Checkpoint) -> None:
 def test_units_of_several_categories_stand_side_by_side(chair: Checkpoint) -> None:
     bed = checkpoint(["+experiment=bed_unet", "scale=test"], name="bed")
     network = checkpoint(["+experiment=segmentation_hrnet", "scale=test"], name="network")
-    assert configured([bed, chair], ["ckpt=[a,b]"]).unit_categories == ["bed", "chair"]
-    assert configured([bed, chair, network], ["ckpt=[a,b,c]"]).unit_categories == ["bed", "chair"]
-    assert configured([network], ["ckpt=c"]).unit_categories == ["chair", "bed", "table"]
+    assert evaluation_config([bed, chair], ["ckpt=[a,b]"]).unit_categories == ["bed", "chair"]
+    assert evaluation_config([bed, chair, network], ["ckpt=[a,b,c]"]).unit_categories == ["bed", "chair"]
+    assert evaluation_config([network], ["ckpt=c"]).unit_categories == ["chair", "bed", "table"]
     every = checkpoint(["+experiment=all_units", "scale=test"], name="every")
-    assert configured([every], ["ckpt=a", "unit_categories=[table]"]).unit_categories == ["table"]
+    assert evaluation_config([every], ["ckpt=a", "unit_categories=[table]"]).unit_categories == ["table"]
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,9 @@ def test_units_of_several_categories_stand_side_by_side(chair: Checkpoint) -> No
 def test_two_checkpoints_of_one_category_are_refused_by_name(experiments: list[str], told: str) -> None:
     given = zip(experiments, "abcd", strict=False)
     with pytest.raises(UserError, match=told):
-        configured([checkpoint([f"+experiment={one}", "scale=test"], name=name) for one, name in given], [])
+        evaluation_config(
+            [checkpoint([f"+experiment={one}", "scale=test"], name=name) for one, name in given], []
+        )
 
 
 @pytest.mark.parametrize(
@@ -137,7 +139,7 @@ def test_two_checkpoints_of_one_category_are_refused_by_name(experiments: list[s
 def test_checkpoints_that_differ_are_refused_with_both(chair: Checkpoint, value: str, told: str) -> None:
     bed = checkpoint(["+experiment=bed_unet", "scale=test"], value, name="bed")
     with pytest.raises(UserError, match=told):
-        configured([chair, bed], ["ckpt=[a,b]"])
+        evaluation_config([chair, bed], ["ckpt=[a,b]"])
 
 
 def test_a_category_that_no_checkpoint_gives_is_refused(chair: Checkpoint) -> None:
@@ -145,32 +147,34 @@ def test_a_category_that_no_checkpoint_gives_is_refused(chair: Checkpoint) -> No
         ["+experiment=segmentation_hrnet", "scale=test"], "unit_categories=[chair]", name="net"
     )
     with pytest.raises(UserError, match=r"net\.ckpt: is of chair .* add a checkpoint of bed"):
-        configured([chair, checkpoint(["+experiment=bed_unet", "scale=test"], name="bed"), network], [])
+        evaluation_config(
+            [chair, checkpoint(["+experiment=bed_unet", "scale=test"], name="bed"), network], []
+        )
 
 
 def test_one_segmentation_network_is_enough(chair: Checkpoint) -> None:
     network = checkpoint(["+experiment=segmentation_hrnet", "scale=test"], name="net")
-    assert configured([chair], ["ckpt=a", "ade20k=weights"]).ade20k == "weights"
+    assert evaluation_config([chair], ["ckpt=a", "ade20k=weights"]).ade20k == "weights"
     with pytest.raises(UserError, match=r"got weights beside checkpoint net\.ckpt"):
-        configured([chair, network], ["ckpt=[a,b]", "ade20k=weights"])
+        evaluation_config([chair, network], ["ckpt=[a,b]", "ade20k=weights"])
 
 
 def test_the_study_adds_its_rows(chair: Checkpoint) -> None:
-    config = configured([chair], ["ckpt=a", "+study=paper"])
-    assert config.name == "study" and config.evaluation.known_homes == config.scale.homes.test
+    config = evaluation_config([chair], ["ckpt=a", "+study=paper"])
+    assert config.name == "study" and config.evaluation.known_scenes == config.scale.scenes.test
     assert list(config.evaluation.approaches)[-2:] == ["rgb_shuffled", "oracle"]
 
 
 @pytest.mark.parametrize("override", ["unit_categories=[chair,bed]", "scale.resolution=0.1"])
 def test_a_checkpoint_of_something_else_is_refused(chair: Checkpoint, override: str) -> None:
     with pytest.raises(UserError, match=r"best\.ckpt: is of chair at 0\.12 m"):
-        configured([chair], ["ckpt=best.ckpt", override])
+        evaluation_config([chair], ["ckpt=best.ckpt", override])
 
 
 @pytest.mark.parametrize("override", ["camera.width=40", "scale.ego_extent=4.2", "camera.mount_height=0.9"])
 def test_another_camera_or_map_is_refused(chair: Checkpoint, override: str) -> None:
     with pytest.raises(UserError, match=r"best\.ckpt: was trained with the (camera|ego) "):
-        configured([chair], ["ckpt=best.ckpt", override])
+        evaluation_config([chair], ["ckpt=best.ckpt", override])
 
 
 def test_nothing_but_plain_values_is_taken_from_a_checkpoint(chair: Checkpoint) -> None:
@@ -178,21 +182,21 @@ def test_nothing_but_plain_values_is_taken_from_a_checkpoint(chair: Checkpoint) 
         strange = Checkpoint(chair.path, deepcopy(chair.state))
         strange.state[KEY]["values"]["name"] = value
         with pytest.raises(UserError, match="do not use this file"):
-            configured([strange], ["ckpt=best.ckpt"])
+            evaluation_config([strange], ["ckpt=best.ckpt"])
 
 
 def test_homes_of_training_are_not_measured_in(caplog: pytest.LogCaptureFixture) -> None:
-    def trained_in(*homes: str) -> Checkpoint:
-        state = {"SceneData": {"homes": {home: rooms.fingerprint(home) for home in homes}}}
-        return Checkpoint(Path(f"{homes[0]}.ckpt"), state)
+    def trained_in(*scenes: str) -> Checkpoint:
+        state = {"SceneData": {"scenes": {scene: rooms.fingerprint(scene) for scene in scenes}}}
+        return Checkpoint(Path(f"{scenes[0]}.ckpt"), state)
 
     rooms = Rooms(3)
-    check_homes([trained_in("train_0", "train_1"), Checkpoint(Path("old.ckpt"), {"callbacks": {}})], rooms)
+    check_scenes([trained_in("train_0", "train_1"), Checkpoint(Path("old.ckpt"), {"callbacks": {}})], rooms)
     assert caplog.text == ""
-    check_homes([trained_in("train_0"), trained_in("train_0", "train_1")], rooms)
-    assert "were trained in different homes" in caplog.text
-    for home in ("val_2", "test_0"):
+    check_scenes([trained_in("train_0"), trained_in("train_0", "train_1")], rooms)
+    assert "were trained in different scenes" in caplog.text
+    for scene in ("val_2", "test_0"):
         with pytest.raises(
-            UserError, match=f"{home}.ckpt was trained in {home}, which is {home} of the split"
+            UserError, match=f"{scene}.ckpt was trained in {scene}, which is {scene} of the split"
         ):
-            check_homes([trained_in("train_0"), trained_in(home)], rooms)
+            check_scenes([trained_in("train_0"), trained_in(scene)], rooms)

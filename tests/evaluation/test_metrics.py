@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from imagination.evaluation.metrics import bootstrap_iou, count, interval, iou, mean_iou, pooled_iou, resample
 
 COUNTS = np.array([[[3, 1, 4], [2, 2, 4]], [[5, 0, 10], [10, 5, 10]]])
-"""Two homes with two viewpoint sets each: correct, false, truth."""
+"""Two scenes with two viewpoint sets each: correct, false, truth."""
 
 
 def test_counts_by_hand() -> None:
@@ -36,9 +36,9 @@ def test_bootstrap_equals_a_loop_over_resamples() -> None:
     draws = resample(2, 50, seed=3)
     assert (draws.sum(axis=1) == 2).all()
     for times, value in zip(draws, bootstrap_iou(COUNTS, draws), strict=True):
-        homes = [home for home, often in enumerate(times) for _ in range(often)]
-        correct = sum(COUNTS[home, :, 0].sum() for home in homes)
-        union = sum(COUNTS[home, :, 1].sum() + COUNTS[home, :, 2].sum() for home in homes)
+        scenes = [scene for scene, often in enumerate(times) for _ in range(often)]
+        correct = sum(COUNTS[scene, :, 0].sum() for scene in scenes)
+        union = sum(COUNTS[scene, :, 1].sum() + COUNTS[scene, :, 2].sum() for scene in scenes)
         assert value == pytest.approx(correct / union)
 
 
@@ -48,9 +48,9 @@ def test_bootstrap_follows_the_seed_alone() -> None:
 
 
 @given(st.integers(1, 20))
-def test_homes_that_are_alike_leave_no_uncertainty(homes: int) -> None:
-    counts = np.tile(np.array([[[3, 1, 4]]]), (homes, 2, 1))
-    low, high = interval(bootstrap_iou(counts, resample(homes, 30, seed=0)))
+def test_homes_that_are_alike_leave_no_uncertainty(scenes: int) -> None:
+    counts = np.tile(np.array([[[3, 1, 4]]]), (scenes, 2, 1))
+    low, high = interval(bootstrap_iou(counts, resample(scenes, 30, seed=0)))
     assert low == high == pytest.approx(3 / 5)
 
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from imagination.evaluation.prediction import Predictor
-from imagination.models.unit import Answers
+from imagination.models.unit import Prediction
 from imagination.utils.errors import UserError
 
 TABLE = ["chair", "bed", "table"]
@@ -20,10 +20,10 @@ class Constant(nn.Module):
         self.categories = list(values)
         self.values = nn.Parameter(torch.tensor(list(values.values())))
 
-    def predict(self, batch: dict[str, Tensor]) -> Answers:
+    def predict(self, batch: dict[str, Tensor]) -> Prediction:
         bright = batch["rgb"].float().mean(dim=(1, 2, 3)) / 1000
         maps = (self.values + bright[:, None])[..., None, None].expand(-1, -1, 5, 5).detach()
-        return Answers(maps, maps / 2)
+        return Prediction(maps, maps / 2)
 
 
 class Painter(nn.Module):
@@ -49,11 +49,11 @@ def views(count: int) -> dict[str, np.ndarray]:
 
 def test_each_category_comes_from_the_unit_that_has_it() -> None:
     predictor = Predictor([Constant(table=0.3), Constant(bed=0.1, chair=0.2)], ["chair", "table"], TABLE, 2)
-    assert predictor.gives == {"maps", "plain_maps", "maps_of_shuffled_rgb"}
+    assert predictor.gives == {"maps", "raw_maps", "maps_of_shuffled_rgb"}
     maps = predictor(views(3), {"maps"})["maps"]
-    both = predictor(views(3), {"maps", "plain_maps"})
-    assert (both["maps"] == maps).all() and (both["plain_maps"] == maps / 2).all()
-    assert predictor(views(3), {"plain_maps"}).keys() == {"plain_maps"}
+    both = predictor(views(3), {"maps", "raw_maps"})
+    assert (both["maps"] == maps).all() and (both["raw_maps"] == maps / 2).all()
+    assert predictor(views(3), {"raw_maps"}).keys() == {"raw_maps"}
     assert maps.shape == (3, 2, 5, 5)
     assert maps[:, :, 0, 0] == pytest.approx(np.array([[0.2, 0.3]]) + np.arange(3)[:, None] / 1000)
 
@@ -66,10 +66,10 @@ def test_networks_answer_in_the_precision_asked_for(gpu: bool, monkeypatch: pyte
     class Sum(nn.Module):
         categories = ("chair",)
 
-        def predict(self, batch: dict[str, Tensor]) -> Answers:
+        def predict(self, batch: dict[str, Tensor]) -> Prediction:
             ones = torch.ones(1, 1)
             self.kind = (ones @ ones).dtype
-            return Answers(*(torch.zeros(len(batch["rgb"]), 1, 5, 5) for _ in range(2)))
+            return Prediction(*(torch.zeros(len(batch["rgb"]), 1, 5, 5) for _ in range(2)))
 
     for precision, kind in (
         ("32-true", torch.float32),
@@ -92,7 +92,7 @@ def test_shuffling_gives_every_view_the_colours_of_another(count: int) -> None:
 
 def test_a_segmentation_s_classes_become_rows_of_the_table() -> None:
     predictor = Predictor([Painter("lamp", "table", "bed"), Constant(bed=0.0)], ["bed"], TABLE, 2)
-    assert predictor.gives == {"maps", "plain_maps", "maps_of_shuffled_rgb", "images"}
+    assert predictor.gives == {"maps", "raw_maps", "maps_of_shuffled_rgb", "images"}
     images = predictor(views(3), {"images"})["images"]
     assert images.shape == (3, 4, 4) and (images == 2).all()  # its third class, the table's second row
     assert (Predictor([Painter("bed", "lamp")], ["bed"], TABLE, 2)(views(1), {"images"})["images"] == 0).all()
@@ -118,9 +118,9 @@ def test_the_fingerprint_follows_weights_and_precision() -> None:
     assert len(prints) == 3
     unit = Constant(chair=0.1)  # how it answers stands in no weight
     for answers in (
-        {"dilated_answers": 3},
-        {"dilated_answers": 1},
-        {"mirrored_answers": True, "dilated_answers": 1},
+        {"postprocess_dilation": 3},
+        {"postprocess_dilation": 1},
+        {"tta_hflip": True, "postprocess_dilation": 1},
     ):
         vars(unit).update(answers)
         prints.add(Predictor([unit], ["chair"], TABLE, 2).fingerprint)

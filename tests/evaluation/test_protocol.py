@@ -9,26 +9,26 @@ import pytest
 
 from imagination.evaluation import saved_maps, trials
 from imagination.evaluation.metrics import mean_iou, pooled_iou
-from imagination.evaluation.protocol import Subject
+from imagination.evaluation.protocol import ModelUnderTest
 from imagination.evaluation.records import Key, Report
-from imagination.evaluation.trials import Looks, Run, views_of
+from imagination.evaluation.trials import Trial, ViewpointSampling, views_of
 from imagination.evaluation.viewpoints import Viewpoints
 from imagination.reporting.tables import mapping_rows
 from imagination.utils.errors import UserError
 from tests.helpers.toy_evaluation import Perfect, make_protocol, make_subject
 
-HOMES = ["val_0", "test_1"]
+SCENES = ["val_0", "test_1"]
 
 
 @pytest.fixture(scope="module")
-def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
+def subject(tmp_path_factory: pytest.TempPathFactory) -> ModelUnderTest:
     return make_subject(tmp_path_factory.mktemp("cache"))
 
 
 @pytest.fixture(scope="module")
-def report(subject: Subject) -> Report:
+def report(subject: ModelUnderTest) -> Report:
     protocol = make_protocol()
-    return protocol.measure(subject, HOMES, protocol.choose(subject, HOMES))
+    return protocol.evaluate(subject, SCENES, protocol.select_thresholds(subject, SCENES))
 
 
 def test_a_perfect_prediction_maps_nearly_everything(report: Report) -> None:
@@ -68,26 +68,26 @@ def test_seen_cells_are_a_part_of_all(report: Report) -> None:
     assert any((report.seen[key] < counts).any() for key, counts in report.counts.items())
 
 
-def test_every_run_is_measured_against_the_whole_homes_truth(subject: Subject, report: Report) -> None:
+def test_every_run_is_measured_against_the_whole_homes_truth(subject: ModelUnderTest, report: Report) -> None:
     for (_, category, _), counts in report.counts.items():
         assert counts.shape == (2, 2, 3)
         layer = subject.pool.observer.categories.index(category) - 1
-        for place, home in enumerate(HOMES):
-            truth = subject.pool.observer.truth(home).truth[layer].sum()
+        for place, scene in enumerate(SCENES):
+            truth = subject.pool.observer.truth(scene).truth[layer].sum()
             assert (counts[place, :, 2] == truth).all()
             assert (counts[place, :, 0] <= truth).all()
 
 
-def test_the_choice_is_the_best_of_all_candidates_together(subject: Subject, report: Report) -> None:
-    """Measuring on the homes that the choice was made on gives its IoU, pooled over all cell widths."""
+def test_the_choice_is_the_best_of_all_candidates_together(subject: ModelUnderTest, report: Report) -> None:
+    """Measuring on the scenes that the choice was made on gives its IoU, pooled over all cell widths."""
     for (approach, category), choice in report.choices.items():
         both = np.concatenate([report.counts[Key(approach, category, width)] for width in (1.5, 1.0)])
         assert pooled_iou(both) == pytest.approx(choice.iou)
         assert 0 <= mean_iou(both) <= 1
 
 
-def test_a_threshold_that_is_given_is_not_chosen(subject: Subject, report: Report) -> None:
-    fixed = make_protocol(threshold=0.3).choose(subject, HOMES)
+def test_a_threshold_that_is_given_is_not_chosen(subject: ModelUnderTest, report: Report) -> None:
+    fixed = make_protocol(threshold=0.3).select_thresholds(subject, SCENES)
     assert fixed.keys() == report.choices.keys()
     assert {choice.threshold for choice in fixed.values()} == {0.3}
     assert all(choice.iou <= report.choices[key].iou for key, choice in fixed.items())
@@ -95,22 +95,25 @@ def test_a_threshold_that_is_given_is_not_chosen(subject: Subject, report: Repor
 
 
 def test_the_same_seed_gives_the_same_report_and_renders_nothing_again(
-    subject: Subject, report: Report, monkeypatch: pytest.MonkeyPatch
+    subject: ModelUnderTest, report: Report, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trials, "_look", lambda *_: pytest.fail("rendered again"))
     protocol = replace(make_protocol(), cell_widths=[1.0])
-    again = protocol.measure(subject, HOMES, report.choices)
+    again = protocol.evaluate(subject, SCENES, report.choices)
     for key, counts in again.counts.items():
         assert (counts == report.counts[key]).all()
 
 
-def test_views_depend_on_seed_home_width_and_set(subject: Subject) -> None:
+def test_views_depend_on_seed_home_width_and_set(subject: ModelUnderTest) -> None:
     observer = subject.pool.observer
-    first = views_of(observer, Run("val_0", 1.5, 0), Looks(0, 2))["pose"]
+    first = views_of(observer, Trial("val_0", 1.5, 0), ViewpointSampling(0, 2))["pose"]
     assert len(first) % 2 == 0
     assert (first[::2, :2] == first[1::2, :2]).all()  # two headings at each viewpoint
-    for run, looks in [(Run("val_0", 1.5, 1), Looks(0, 2)), (Run("val_0", 1.5, 0), Looks(1, 2))]:
-        other = views_of(observer, run, looks)["pose"]
+    for run, sampling in [
+        (Trial("val_0", 1.5, 1), ViewpointSampling(0, 2)),
+        (Trial("val_0", 1.5, 0), ViewpointSampling(1, 2)),
+    ]:
+        other = views_of(observer, run, sampling)["pose"]
         assert other.shape != first.shape or (other != first).any()
 
 
@@ -123,16 +126,16 @@ def test_the_order_of_updates_matters_to_the_moving_average_alone(report: Report
 
 def test_a_category_that_no_home_contains_is_refused(tmp_path: Path) -> None:
     nothing = make_subject(tmp_path, ("chair", "sofa"), count=1)
-    with pytest.raises(UserError, match="'sofa': none of the 1 homes"):
-        make_protocol().choose(nothing, ["val_0"])
+    with pytest.raises(UserError, match="'sofa': none of the 1 scenes"):
+        make_protocol().select_thresholds(nothing, ["val_0"])
 
 
-def test_homes_without_the_category_are_left_out(subject: Subject, report: Report) -> None:
+def test_homes_without_the_category_are_left_out(subject: ModelUnderTest, report: Report) -> None:
     observer = subject.pool.observer
     full = observer.truth("val_0")
     observer._truths["val_0"] = full._replace(truth=full.truth & (np.arange(4) != 1)[:, None, None])
     try:
-        found = make_protocol().measure(subject, HOMES, report.choices)
+        found = make_protocol().evaluate(subject, SCENES, report.choices)
     finally:
         observer._truths["val_0"] = full
     assert found.left_out == {"chair": [], "bed": ["val_0"]}
@@ -145,7 +148,7 @@ def test_homes_without_the_category_are_left_out(subject: Subject, report: Repor
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"known_homes": -1}, "known_homes: got -1"),
+        ({"known_scenes": -1}, "known_scenes: got -1"),
         ({"threshold": 0.305}, "evaluation.threshold: got 0.305"),
         ({"precision": "half"}, "evaluation.precision: got 'half'"),
         ({"cell_widths": [0.0]}, r"cell_widths: got 0\.0"),
@@ -161,11 +164,11 @@ def test_settings_out_of_range_are_refused(change: dict[str, object], message: s
 
 
 def test_a_home_too_small_for_the_cell_width_counts_with_empty_maps(
-    subject: Subject, report: Report, monkeypatch: pytest.MonkeyPatch
+    subject: ModelUnderTest, report: Report, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     nothing = Viewpoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     monkeypatch.setattr(trials, "sparse_viewpoints", lambda *_: nothing)
-    found = make_protocol(cell_widths=[9.0]).measure(subject, HOMES, report.choices)
+    found = make_protocol(cell_widths=[9.0]).evaluate(subject, SCENES, report.choices)
     for counts in found.counts.values():
         assert (counts[..., :2] == 0).all()
         assert (counts[..., 2] > 0).all()
@@ -173,12 +176,12 @@ def test_a_home_too_small_for_the_cell_width_counts_with_empty_maps(
 
 
 def test_tables_can_be_recounted_from_the_saved_maps(
-    subject: Subject, report: Report, tmp_path: Path
+    subject: ModelUnderTest, report: Report, tmp_path: Path
 ) -> None:
     """With numpy alone, from the files alone."""
     protocol = make_protocol()
-    found = protocol.measure(
-        subject, HOMES, report.choices, save=lambda maps: saved_maps.save(tmp_path, maps)
+    found = protocol.evaluate(
+        subject, SCENES, report.choices, save=lambda maps: saved_maps.save(tmp_path, maps)
     )
     totals: dict[tuple[str, str, str], np.ndarray] = {}
     for path in sorted((tmp_path / "maps").iterdir()):
@@ -199,16 +202,16 @@ def test_tables_can_be_recounted_from_the_saved_maps(
     for row in rows:
         recounted = totals[row["approach"], row["category"], row["cell_width"]].tolist()
         correct, false, truth = recounted[:3]
-        told = [int(row[name]) for name in ("correct_pixels", "false_pixels", "truth_pixels")]
+        told = [int(row[name]) for name in ("correct_pixels", "false_positives", "gt_pixels")]
         assert told == [correct, false, truth]
         assert float(row["iou_pooled"]) == pytest.approx(correct / (truth + false), abs=5e-5)
         of_row = Key(row["approach"], row["category"], float(row["cell_width"]))
         assert found.seen[of_row].sum(axis=(0, 1)).tolist() == recounted[3:]
 
 
-def test_saved_maps_are_read_as_they_were(subject: Subject, report: Report, tmp_path: Path) -> None:
+def test_saved_maps_are_read_as_they_were(subject: ModelUnderTest, report: Report, tmp_path: Path) -> None:
     kept: list[saved_maps.SavedMaps] = []
-    make_protocol(cell_widths=[1.0]).measure(subject, HOMES[:1], report.choices, save=kept.append)
+    make_protocol(cell_widths=[1.0]).evaluate(subject, SCENES[:1], report.choices, save=kept.append)
     for maps in kept:
         saved_maps.save(tmp_path, maps)
         path = saved_maps.path_of(tmp_path, maps.run)
@@ -218,11 +221,11 @@ def test_saved_maps_are_read_as_they_were(subject: Subject, report: Report, tmp_
         assert (again.predicted == maps.predicted).all() and (again.truth == maps.truth).all()
         saved_maps.save(tmp_path, again)
         assert path.read_bytes() == before
-        # cropped to what it holds, at its place: the truth's cells lie where the home's do
-        home = subject.pool.observer.truth(maps.run.home)
+        # cropped to what it holds, at its place: the truth's cells lie where the scene's do
+        scene = subject.pool.observer.truth(maps.run.scene)
         points = maps.grid.to_points(np.argwhere(maps.truth[0]))
-        row, column = home.grid.to_cells(points).T
-        assert home.truth[0][row, column].all() and len(points) == home.truth[0].sum()
+        row, column = scene.grid.to_cells(points).T
+        assert scene.truth[0][row, column].all() and len(points) == scene.truth[0].sum()
     path.write_bytes(before[:100])
     with pytest.raises(UserError, match="is damaged or no file of maps"):
         saved_maps.load(path)
@@ -242,21 +245,21 @@ def test_an_evaluation_that_stopped_goes_on_where_it_was(tmp_path: Path) -> None
 
     stops = subject._replace(predict=Stops(subject.setting.layers))
     with pytest.raises(KeyboardInterrupt):
-        protocol.choose(stops, HOMES)
-    choices = protocol.choose(stops, HOMES)
-    assert Stops.calls == 3 + 2  # the runs of the second home; the first's were done
-    assert choices == protocol.choose(subject, HOMES)
-    assert choices == protocol.choose(subject._replace(keep=False), HOMES)
+        protocol.select_thresholds(stops, SCENES)
+    choices = protocol.select_thresholds(stops, SCENES)
+    assert Stops.calls == 3 + 2  # the runs of the second scene; the first's were done
+    assert choices == protocol.select_thresholds(subject, SCENES)
+    assert choices == protocol.select_thresholds(subject._replace(keep=False), SCENES)
     other = subject._replace(predict=Stops(subject.setting.layers, fingerprint="others"))
-    protocol.choose(other, HOMES)
+    protocol.select_thresholds(other, SCENES)
     assert Stops.calls == 3 + 2 + 4  # other networks, other results
 
 
-def test_workers_change_nothing(subject: Subject, report: Report, tmp_path: Path) -> None:
+def test_workers_change_nothing(subject: ModelUnderTest, report: Report, tmp_path: Path) -> None:
     several = make_subject(tmp_path, workers=2)
     protocol = make_protocol(cell_widths=[1.0])
     try:
-        found = protocol.measure(several, HOMES, report.choices)
+        found = protocol.evaluate(several, SCENES, report.choices)
     finally:
         several.pool.close()
     for key, counts in found.counts.items():

@@ -6,25 +6,27 @@ import numpy as np
 import pytest
 
 from imagination.evaluation import single_views
-from imagination.evaluation.protocol import Subject
+from imagination.evaluation.protocol import ModelUnderTest
 from imagination.evaluation.single_views import Singles, _Place, picks
 from imagination.evaluation.threshold_selection import THRESHOLDS
-from imagination.evaluation.trials import Run
+from imagination.evaluation.trials import Trial
 from imagination.utils.errors import UserError
 from tests.helpers.toy_evaluation import make_protocol, make_subject
 
-HOMES = ["val_0", "test_1"]
+SCENES = ["val_0", "test_1"]
 
 
 @pytest.fixture(scope="module")
-def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
+def subject(tmp_path_factory: pytest.TempPathFactory) -> ModelUnderTest:
     return make_subject(tmp_path_factory.mktemp("cache"))
 
 
 @pytest.fixture(scope="module")
-def singles(subject: Subject) -> Singles:
+def singles(subject: ModelUnderTest) -> Singles:
     protocol = make_protocol(cell_widths=[1.5], viewpoint_sets=1)
-    return single_views.measure(protocol, subject, HOMES, protocol.choose(subject, HOMES), 9)
+    return single_views.evaluate_single_views(
+        protocol, subject, SCENES, protocol.select_thresholds(subject, SCENES), 9
+    )
 
 
 def test_a_perfect_unit_is_perfect_on_what_it_should_imagine(singles: Singles) -> None:
@@ -53,18 +55,20 @@ def test_seen_and_other_cells_add_up_to_all(singles: Singles) -> None:
     assert {row["approach"] for row in rows} == {*make_protocol().approaches, "network"}
 
 
-def test_without_a_unit_the_others_are_shown(subject: Subject) -> None:
+def test_without_a_unit_the_others_are_shown(subject: ModelUnderTest) -> None:
     from dataclasses import replace
 
     images = subject._replace(predict=replace(subject.predict, gives=frozenset({"images"})))  # type: ignore[type-var]
     protocol = make_protocol(cell_widths=[1.5], viewpoint_sets=1).available({"images"})
-    found = single_views.measure(protocol, images, HOMES, protocol.choose(images, HOMES), 9)
+    found = single_views.evaluate_single_views(
+        protocol, images, SCENES, protocol.select_thresholds(images, SCENES), 9
+    )
     assert found.cells == {} and np.isnan(found.shown[0].probabilities).all()
     assert "seg_hrnet" in found.shown[0].predicted and "imagination" not in found.shown[0].predicted
 
 
 def test_best_median_and_worst_are_by_iou_then_by_size() -> None:
-    run = Run("home", 2.0, 0)
+    run = Trial("scene", 2.0, 0)
 
     def place(iou: float, size: int, index: int) -> _Place:
         return _Place(iou, size, run, index)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from imagination.evaluation.metrics import count
-from imagination.evaluation.threshold_selection import THRESHOLDS, choose, reached, tally
+from imagination.evaluation.threshold_selection import THRESHOLDS, confusion_counts, reached, select_threshold
 
 SCORES = st.one_of(
     st.floats(0, 1, width=32), st.sampled_from(THRESHOLDS.tolist()), st.sampled_from([0.0, 0.5, 1.0])
@@ -16,13 +16,15 @@ SCORES = st.one_of(
 @given(arrays(np.float32, (5, 6), elements=SCORES), arrays(bool, (5, 6)))
 def test_tally_equals_every_threshold_tried(score: np.ndarray, truth: np.ndarray) -> None:
     expected = [count(score >= threshold, truth) for threshold in THRESHOLDS]
-    assert tally(score, truth, THRESHOLDS).tolist() == np.stack(expected).tolist()
+    assert confusion_counts(score, truth, THRESHOLDS).tolist() == np.stack(expected).tolist()
     levels = reached(score, THRESHOLDS)  # what saved maps hold
     assert all((levels > place).tolist() == (score >= t).tolist() for place, t in enumerate(THRESHOLDS))
 
 
 def test_cells_that_no_view_wrote_are_in_no_map() -> None:
-    assert (tally(np.zeros((3, 3), np.float32), np.ones((3, 3), bool), THRESHOLDS)[:, :2] == 0).all()
+    assert (
+        confusion_counts(np.zeros((3, 3), np.float32), np.ones((3, 3), bool), THRESHOLDS)[:, :2] == 0
+    ).all()
 
 
 def test_the_best_pair_is_chosen() -> None:
@@ -33,7 +35,7 @@ def test_the_best_pair_is_chosen() -> None:
     best = max(
         (tallies[k, t, 0] / (tallies[k, t, 1] + tallies[k, t, 2]), k, t) for k in range(4) for t in range(3)
     )
-    chosen = choose(tallies, [0.0, 0.1, 0.2, 0.3], thresholds)
+    chosen = select_threshold(tallies, [0.0, 0.1, 0.2, 0.3], thresholds)
     assert np.isclose(chosen.iou, best[0])
     assert (chosen.kernel, chosen.threshold) == (
         [0.0, 0.1, 0.2, 0.3][best[1]],
@@ -43,10 +45,10 @@ def test_the_best_pair_is_chosen() -> None:
 
 def test_ties_go_to_the_smallest_kernel_then_the_middle() -> None:
     tallies = np.tile(np.array([1, 1, 2]), (2, len(THRESHOLDS), 1))
-    assert choose(tallies, [0.3, 0.1], THRESHOLDS)[:2] == (0.5, 0.1)
+    assert select_threshold(tallies, [0.3, 0.1], THRESHOLDS)[:2] == (0.5, 0.1)
 
 
 def test_a_chosen_threshold_selects_the_cells_it_was_chosen_on() -> None:
     for threshold in THRESHOLDS:
-        chosen = choose(np.array([[[1, 0, 1]]]), [0.0], np.array([threshold], np.float32))
+        chosen = select_threshold(np.array([[[1, 0, 1]]]), [0.0], np.array([threshold], np.float32))
         assert np.float32(chosen.threshold) == threshold

@@ -12,7 +12,7 @@ from imagination.views.pose_samplers import sample_poses
 GRID = Grid(0.05, 200, 240, (-3.0, 2.0))
 
 
-def home() -> FreeSpace:
+def scene() -> FreeSpace:
     """Free space 8 x 6 m with a block of furniture in it."""
     mask = np.zeros(GRID.shape, np.bool_)
     mask[40:160, 30:190] = True
@@ -37,7 +37,7 @@ def mesh_points(free: FreeSpace, width: float) -> np.ndarray:
 
 @pytest.mark.parametrize("width", [3.0, 2.5, 2.0])
 def test_points_are_the_mesh_grid_with_offsets(width: float) -> None:
-    free = home()
+    free = scene()
     mesh = mesh_points(free, width)
     shared, own = [], []
     for seed in range(200):
@@ -55,7 +55,7 @@ def test_points_are_the_mesh_grid_with_offsets(width: float) -> None:
 
 
 def test_offsets_are_drawn_as_algorithm_1_draws_them() -> None:
-    free, width = home(), 2.0
+    free, width = scene(), 2.0
     rng = np.random.default_rng(7)
     shared = rng.uniform(-1.0, 1.0, 2)
     expected = np.array(
@@ -67,7 +67,7 @@ def test_offsets_are_drawn_as_algorithm_1_draws_them() -> None:
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1.5, 2.0, 2.5, 3.0]))
 def test_snapped_points_are_the_nearest_free_cells(seed: int, width: float) -> None:
-    free = home()
+    free = scene()
     viewpoints = sparse_viewpoints(free, width, np.random.default_rng(seed))
     cells = GRID.to_cells(viewpoints.snapped)
     assert free.mask[cells[:, 0], cells[:, 1]].all()
@@ -80,7 +80,7 @@ def test_snapped_points_are_the_nearest_free_cells(seed: int, width: float) -> N
 
 def test_points_are_tested_before_offsets_are_added() -> None:
     """The number of viewpoints is the same in every set, and some of them lie in furniture."""
-    free = home()
+    free = scene()
     sets = [sparse_viewpoints(free, 2.0, np.random.default_rng(seed)) for seed in range(20)]
     assert len({len(viewpoints.points) for viewpoints in sets}) == 1
     assert max(viewpoints.distance.max() for viewpoints in sets) > 0.3
@@ -97,7 +97,9 @@ def test_duplicates_stay() -> None:
 
 
 def test_the_same_seed_gives_the_same_viewpoints() -> None:
-    first, second, other = (sparse_viewpoints(home(), 2.0, np.random.default_rng(seed)) for seed in (3, 3, 4))
+    first, second, other = (
+        sparse_viewpoints(scene(), 2.0, np.random.default_rng(seed)) for seed in (3, 3, 4)
+    )
     assert np.array_equal(first.snapped, second.snapped)
     assert not np.array_equal(first.points, other.points)
 
@@ -105,7 +107,7 @@ def test_the_same_seed_gives_the_same_viewpoints() -> None:
 @pytest.mark.parametrize("width", [0.0, -2.0, np.nan, np.inf])
 def test_cell_width_out_of_range_is_refused(width: float) -> None:
     with pytest.raises(UserError, match="cell_width: got .* expected a number in"):
-        sparse_viewpoints(home(), width, np.random.default_rng(0))
+        sparse_viewpoints(scene(), width, np.random.default_rng(0))
 
 
 def test_a_set_may_be_empty_but_free_space_not() -> None:
@@ -119,7 +121,7 @@ def test_a_set_may_be_empty_but_free_space_not() -> None:
 
 
 def test_poses_are_uniform_over_free_space_and_heading() -> None:
-    free = home()
+    free = scene()
     poses = sample_poses(free, 20_000, np.random.default_rng(0))
     places = np.array([pose[:2] for pose in poses])
     cells = GRID.to_cells(places)
@@ -135,7 +137,7 @@ def test_poses_are_uniform_over_free_space_and_heading() -> None:
 
 
 def test_poses_repeat_with_the_seed_and_need_free_space() -> None:
-    free = home()
+    free = scene()
     assert sample_poses(free, 5, np.random.default_rng(1)) == sample_poses(free, 5, np.random.default_rng(1))
     assert sample_poses(free, 0, np.random.default_rng(1)) == []
     with pytest.raises(UserError, match="poses: got 3 to draw on 0 free cells"):

@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import Grid
 from imagination.geometry.projection import Band
-from imagination.ground_truth.scene_maps import GroundTruth, GroundTruthSpec, box_cells, build, look_points
+from imagination.ground_truth.scene_maps import (
+    GroundTruth,
+    GroundTruthSpec,
+    box_cells,
+    build,
+    panorama_points,
+)
 from imagination.scenes.categories import Category, CategoryTable
 from imagination.scenes.free_space import free_space
 from imagination.scenes.renderer import Renderer
@@ -37,13 +43,13 @@ def cells_in(grid: Grid, low: tuple[float, float], high: tuple[float, float]) ->
 
 
 def hall(
-    *things: tuple[tuple[float, float, float], tuple[float, float, float]], label_growth: float = 0.0
+    *boxes: tuple[tuple[float, float, float], tuple[float, float, float]], label_growth: float = 0.0
 ) -> Scene:
     """A 5 x 4 m floor without walls; solid boxes on it are chairs 1, 2, … whose labels are larger by `label_growth`."""
     builder = MeshBuilder()
     builder.quad(np.array([[-2.5, -2, 0], [2.5, -2, 0], [2.5, 2, 0], [-2.5, 2, 0]]), BUILDING)
     objects = []
-    for instance, (low, high) in enumerate(things, start=1):
+    for instance, (low, high) in enumerate(boxes, start=1):
         builder.box(low, high, instance)
         centre, size = (np.array(low) + high) / 2, np.subtract(high, low) + label_growth
         box = OrientedBox(tuple(centre.tolist()), tuple(size.tolist()), 0.0)
@@ -175,7 +181,7 @@ def test_mesh_and_objects_belong_together() -> None:
     scene = tiny_room()
     with pytest.raises(UserError, match=rf"faces of the instances \[{LAMP}\]"):
         truth_of(dataclasses.replace(scene, objects=scene.objects[:-1]))
-    assert [thing.instance for thing in scene.objects] == [TABLE, CHAIR, BED, LAMP]
+    assert [obj.instance for obj in scene.objects] == [TABLE, CHAIR, BED, LAMP]
 
 
 @pytest.mark.parametrize("changes", [{"spacing": 0.0}, {"spacing": float("nan")}, {"dilation": -0.1}])
@@ -237,7 +243,7 @@ def test_points_cover_all_free_space(seed: int, spacing: float) -> None:
     mask = np.random.default_rng(seed).random((31, 47)) < 0.4
     mask[3, 5] = True
     free = FreeSpace(Grid(0.05, 31, 47, (-1.0, 2.0)), mask)
-    points = look_points(free, spacing)
+    points = panorama_points(free, spacing)
     assert mask[tuple(free.grid.to_cells(points).T)].all()
     every = free.grid.to_points(np.argwhere(mask))
     distance = np.abs(every[:, None] - points).max(axis=-1).min(axis=1)
@@ -248,6 +254,6 @@ def test_points_cover_all_free_space(seed: int, spacing: float) -> None:
 
 def test_points_of_open_floor_stand_spacing_apart() -> None:
     free = FreeSpace(Grid(0.05, 40, 60, (0.0, 0.0)), np.ones((40, 60), bool))
-    points = look_points(free, 0.5)
+    points = panorama_points(free, 0.5)
     assert len(points) == 4 * 6
     np.testing.assert_allclose(np.unique(points[:, 0].round(3)), 0.275 + 0.5 * np.arange(6), atol=0.026)

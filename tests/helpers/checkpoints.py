@@ -31,8 +31,8 @@ def make_checkpoint(path: Path, *choices: str, threshold: float = 0.5) -> Path:
     model = instantiate(config.model.module)
     liven(model.unit, config)
     model.chosen.fill_(THRESHOLDS.index(threshold))
-    description = ConfigInCheckpoint(config).description
-    torch.save({"state_dict": model.state_dict(), KEY: description}, path)
+    spec = ConfigInCheckpoint(config).spec
+    torch.save({"state_dict": model.state_dict(), KEY: spec}, path)
     return path
 
 
@@ -61,7 +61,7 @@ def samples(count: int, categories: int = 1) -> list[Sample]:
     for number in range(count):
         pose = Pose(0.5, -0.6 + 0.1 * number, 2.1 * number)
         image = renderer.render(CAMERA, CAMERA.to_world(pose))
-        view = project_depth(image.depth, CAMERA, EGO, Toy().description.obstacles)
+        view = project_depth(image.depth, CAMERA, EGO, Toy().spec.obstacles)
         seen = Observation(image.rgb, image.depth, view.occupied, view.seen, CAMERA.mount_height)
         found.append(Sample(seen, np.zeros((categories, EGO.cells, EGO.cells), np.bool_)))
     return found

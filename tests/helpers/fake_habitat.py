@@ -93,7 +93,7 @@ class Simulator:
         self._state = SimpleNamespace(position=(0.0, 0.0, 0.0), rotation=at_the_origin)
         self._renderer = Renderer(self.fake.room.mesh, self.fake.room.lighting)
         self.pathfinder = Pathfinder(self.fake)
-        objects = [] if self.fake.unnamed else [_object(thing) for thing in self.fake.room.objects]
+        objects = [] if self.fake.unnamed else [_object(obj) for obj in self.fake.room.objects]
         self.semantic_scene = SimpleNamespace(objects=[None, *objects], levels=[])
 
     def recompute_navmesh(self, pathfinder: Pathfinder, settings: Any) -> bool:
@@ -132,16 +132,16 @@ def _turned(q: tuple[float, float, float, float], v: tuple[float, float, float])
     return np.asarray(vector + 2 * np.cross(u, np.cross(u, vector) + w * vector))
 
 
-def _object(thing: Any) -> Any:
+def _object(obj: Any) -> Any:
     """An object as the semantic scene has it: its box turned about the vertical axis, which is y there."""
-    x, y, z = thing.box.centre
-    width, depth, height = thing.box.size
+    x, y, z = obj.box.centre
+    width, depth, height = obj.box.size
     half = np.array([width, height, depth]) / 2
-    turn = np.array([0.0, np.sin(thing.box.yaw / 2), 0.0, np.cos(thing.box.yaw / 2)])
+    turn = np.array([0.0, np.sin(obj.box.yaw / 2), 0.0, np.cos(obj.box.yaw / 2)])
     obb = SimpleNamespace(center=np.array([x, z, -y]), half_extents=half, rotation=turn)
-    category = SimpleNamespace(name=lambda: thing.label)
+    category = SimpleNamespace(name=lambda: obj.label)
     return SimpleNamespace(
-        id=f"0_{thing.instance}", semantic_id=thing.instance + FIRST_ID, category=category, obb=obb
+        id=f"0_{obj.instance}", semantic_id=obj.instance + FIRST_ID, category=category, obb=obb
     )
 
 

@@ -10,13 +10,13 @@ import yaml
 from imagination.evaluation import saved_maps, single_views
 from imagination.evaluation.saved_maps import SavedMaps
 from imagination.evaluation.single_views import CELLS, Singles, SingleView
-from imagination.evaluation.trials import Run
+from imagination.evaluation.trials import Trial
 from imagination.geometry.grid import Grid
 
 APPROACHES = ["seg_gt", "imagination_seen", "imagination", "mine"]
 CATEGORIES = ["chair", "bed"]
 WIDTHS = [3.0, 2.0]
-HOMES = ["test_0000", "test_0001", "test_0002"]
+SCENES = ["test_0000", "test_0001", "test_0002"]
 SETS = 2
 
 
@@ -25,7 +25,7 @@ def make_config(**changes: Any) -> dict[str, Any]:
         "name": "made",
         "seed": 7,
         "unit_categories": CATEGORIES,
-        "scale": {"resolution": 0.1, "homes": {"test": len(HOMES)}},
+        "scale": {"resolution": 0.1, "scenes": {"test": len(SCENES)}},
         "data": {"scenes": {"_target_": "tests.sources.Rooms"}},
         "evaluation": {
             "approaches": {name: {} for name in APPROACHES},
@@ -39,7 +39,7 @@ def make_config(**changes: Any) -> dict[str, Any]:
     return {**config, **changes}
 
 
-def make_maps(run: Run, rng: np.random.Generator) -> SavedMaps:
+def make_maps(run: Trial, rng: np.random.Generator) -> SavedMaps:
     """Truth is a block; each approach scores it higher than the rest, some more than others."""
     shape = (len(CATEGORIES), 30, 40)
     truth = np.zeros(shape, bool)
@@ -47,7 +47,7 @@ def make_maps(run: Run, rng: np.random.Generator) -> SavedMaps:
     level = np.stack([rng.integers(0, 70, shape) + 10 * (at + 1) * truth for at in range(len(APPROACHES))])
     level = np.where(rng.random(level.shape) < 0.6, 0, level).clip(0, 99)
     threshold = np.arange(30, 30 + len(APPROACHES) * len(CATEGORIES), dtype=np.uint8)
-    present = np.array([True, run.home != HOMES[2]])
+    present = np.array([True, run.scene != SCENES[2]])
     seen = np.ones(shape[1:], bool)
     return SavedMaps(
         run, APPROACHES, CATEGORIES, level.astype(np.uint8), threshold.reshape(-1, len(CATEGORIES)),
@@ -77,9 +77,9 @@ def make_folder(folder: Path, drawn: int = 0, **changes: Any) -> Path:
     rng = np.random.default_rng(drawn)
     (folder / "tables").mkdir(parents=True)
     (folder / "config.yaml").write_text(yaml.safe_dump(make_config(**changes), sort_keys=False))
-    lines = ["approach,category,cell_width,home,viewpoint_set,iou,correct_pixels,false_pixels,truth_pixels"]
-    for home, width, number in product(HOMES, WIDTHS, range(SETS)):
-        maps = make_maps(Run(home, width, number), rng)
+    lines = ["approach,category,cell_width,scene,viewpoint_set,iou,correct_pixels,false_positives,gt_pixels"]
+    for scene, width, number in product(SCENES, WIDTHS, range(SETS)):
+        maps = make_maps(Trial(scene, width, number), rng)
         saved_maps.save(folder, maps)
         for place, approach in enumerate(APPROACHES):
             for layer, category in enumerate(CATEGORIES):
@@ -90,8 +90,8 @@ def make_folder(folder: Path, drawn: int = 0, **changes: Any) -> Path:
                 correct, false = int((predicted & truth).sum()), int((predicted & ~truth).sum())
                 value = correct / (false + int(truth.sum()))
                 lines.append(
-                    f"{approach},{category},{width:g},{home},{number},{value:.4f},{correct},{false},{int(truth.sum())}"
+                    f"{approach},{category},{width:g},{scene},{number},{value:.4f},{correct},{false},{int(truth.sum())}"
                 )
-    (folder / "tables" / "runs.csv").write_text("\n".join(lines) + "\n")
+    (folder / "tables" / "trials.csv").write_text("\n".join(lines) + "\n")
     single_views.write(folder, make_singles(rng))
     return folder

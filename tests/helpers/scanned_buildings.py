@@ -83,27 +83,27 @@ def write_matterport(folder: Path, name: str = "17DRP5sb8fy", floors: int = 1, h
         "category_id": np.maximum(face_owner, 0),
     }  # fmt: skip
     ply(inside / (f"{name}_semantic.ply" if habitat else f"{name}.ply"), vertices, faces, rgb, extra)
-    things = [thing for room in rooms for thing in room.objects]
-    labels = sorted({thing.label for thing in things})
+    objects = [obj for room in rooms for obj in room.objects]
+    labels = sorted({obj.label for obj in objects})
     lines = ["ASCII 1.1"]
-    counts = f"0 0 0 0 {len(things)} {len(things)} {len(labels)} {floors} 0 {floors}"
+    counts = f"0 0 0 0 {len(objects)} {len(objects)} {len(labels)} {floors} 0 {floors}"
     lines.append(f"H {name} house {counts} 0 0 0 0 0 0 0 0 9 9 9 0 0 0 0 0")
     for floor in range(floors):
         lines.append(f"L {floor} 1 level 0 0 {3 * floor} 0 0 0 9 9 9 0 0 0 0 0")
         lines.append(f"R {floor} {floor} 0 0 b 0 0 0 0 0 0 9 9 9 3 0 0 0 0")
     for number, label in enumerate(labels):
         lines.append(f"C {number} {number} raw#{label} {number} {label} 0 0 0 0 0")
-    for number, thing in enumerate(things):
-        x, y, z = thing.box.centre
-        cos, sin = np.cos(thing.box.yaw), np.sin(thing.box.yaw)
-        radii = " ".join(str(side / 2) for side in thing.box.size)
+    for number, obj in enumerate(objects):
+        x, y, z = obj.box.centre
+        cos, sin = np.cos(obj.box.yaw), np.sin(obj.box.yaw)
+        radii = " ".join(str(side / 2) for side in obj.box.size)
         axes = f"{cos} {sin} 0 {-sin} {cos} 0"
         lines.append(
-            f"O {number} {number // 4} {labels.index(thing.label)} {x} {y} {z} {axes} {radii} 0 0 0 0 0 0 0 0"
+            f"O {number} {number // 4} {labels.index(obj.label)} {x} {y} {z} {axes} {radii} 0 0 0 0 0 0 0 0"
         )
-    for number in reversed(range(len(things))):
+    for number in reversed(range(len(objects))):
         lines.append(
-            f"E {len(things) - 1 - number} {number} {SEGMENT + 7 * number} 1 0 0 0 0 0 0 9 9 9 0 0 0 0 0"
+            f"E {len(objects) - 1 - number} {number} {SEGMENT + 7 * number} 1 0 0 0 0 0 0 9 9 9 0 0 0 0 0"
         )
     house = inside / f"{name}.house"
     house.write_text("\n".join(lines) + "\n")
@@ -117,13 +117,13 @@ def write_replica(folder: Path, name: str = "room_0") -> Path:
     inside = folder / name / "habitat"
     ply(inside / "mesh_semantic.ply", vertices, quads, np.repeat(colour, 4, axis=0), {"object_id": owner})
     objects = []
-    for number, thing in enumerate(rooms[0].objects):
-        turn = [0.0, 0.0, float(np.sin(thing.box.yaw / 2)), float(np.cos(thing.box.yaw / 2))]
+    for number, obj in enumerate(rooms[0].objects):
+        turn = [0.0, 0.0, float(np.sin(obj.box.yaw / 2)), float(np.cos(obj.box.yaw / 2))]
         box = {
-            "abb": {"center": [0.0, 0.0, 0.0], "sizes": list(thing.box.size)},
-            "orientation": {"rotation": turn, "translation": list(thing.box.centre)},
+            "abb": {"center": [0.0, 0.0, 0.0], "sizes": list(obj.box.size)},
+            "orientation": {"rotation": turn, "translation": list(obj.box.centre)},
         }
-        objects.append({"id": number, "class_id": 1, "class_name": thing.label, "oriented_bbox": box})
+        objects.append({"id": number, "class_id": 1, "class_name": obj.label, "oriented_bbox": box})
     path = inside / "info_semantic.json"
     path.write_text(json.dumps({"id_to_label": [], "objects": objects}))
     return path
@@ -153,8 +153,8 @@ def write_hm3d(folder: Path, name: str = "abcdefghijk", split: str = "train") ->
         data = io.BytesIO(trimesh.Scene([mesh]).export(file_type="glb"))
         (inside / file).write_bytes(data.getvalue())
     lines = ["HM3D Semantic Annotations"]
-    for number, thing in enumerate(rooms[0].objects, start=1):
-        lines.append(f'{number},{codes[number]:06X},"{thing.label}",0')
+    for number, obj in enumerate(rooms[0].objects, start=1):
+        lines.append(f'{number},{codes[number]:06X},"{obj.label}",0')
     path = inside / f"{name}.semantic.txt"
     path.write_text("\n".join(lines) + "\n")
     return path
@@ -169,8 +169,8 @@ def write_scannet(folder: Path, name: str = "scene0000_00") -> Path:
     segments = np.repeat(owner + 1, 4).tolist()
     (inside / f"{name}_vh_clean_2.0.010000.segs.json").write_text(json.dumps({"segIndices": segments}))
     groups = [
-        {"id": number, "objectId": number, "label": thing.label, "segments": [number + 1]}
-        for number, thing in enumerate(rooms[0].objects)
+        {"id": number, "objectId": number, "label": obj.label, "segments": [number + 1]}
+        for number, obj in enumerate(rooms[0].objects)
     ]
     (inside / f"{name}.aggregation.json").write_text(json.dumps({"sceneId": name, "segGroups": groups}))
     (inside / f"{name}.txt").write_text("axisAlignment = " + " ".join(map(str, np.eye(4).ravel())) + "\n")

@@ -44,7 +44,7 @@ def _furniture(folder: Path) -> SceneSource:
 
 def _homes(folder: Path) -> SceneSource:
     sweet_home.write_catalogue(folder / "assets" / "Test.sh3f")
-    sweet_home.write_home(folder / "homes" / "flat.sh3d")
+    sweet_home.write_scene(folder / "homes" / "flat.sh3d")
     return source(
         folder,
         "data/scenes=sweethome3d",

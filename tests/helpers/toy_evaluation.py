@@ -15,7 +15,7 @@ from imagination.evaluation.approaches import (
     Setting,
     ValidPrediction,
 )
-from imagination.evaluation.protocol import MappingProtocol, Subject
+from imagination.evaluation.protocol import MappingProtocol, ModelUnderTest
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.projection import Band
@@ -48,7 +48,7 @@ class Perfect:
 
 def make_subject(
     folder: Path, categories: tuple[str, ...] = ("chair", "bed"), count: int = 2, workers: int = 0
-) -> Subject:
+) -> ModelUnderTest:
     """Rooms at 0.1 m with a perfect predictor; no room holds a sofa."""
     camera = Camera(48, 48, np.pi / 2, 1.25)
     observer = Observer(
@@ -63,7 +63,7 @@ def make_subject(
     )
     layers = [NAMES.index(name) for name in categories]
     setting = Setting(camera, observer.ego, layers, list(categories), len(NAMES))
-    return Subject(ScenePool(observer, workers), setting, Perfect(layers))
+    return ModelUnderTest(ScenePool(observer, workers), setting, Perfect(layers))
 
 
 def make_protocol(**changes: object) -> MappingProtocol:
@@ -73,10 +73,10 @@ def make_protocol(**changes: object) -> MappingProtocol:
         "seg_gt": Approach(ProjectedSegmentation(0.0, 2.6, np.inf), Max(), "close", (0.0, 0.3)),
         "seg_hrnet": Approach(ProjectedSegmentation(0.0, 2.6, np.inf, True), Max(), "close", (0.0, 0.3)),
         "imagination_seen": Approach(SeenPrediction(), average),
-        "seen_dilated": Approach(SeenPrediction(), average, "grow", (0.0, 0.3)),
+        "seen_dilated": Approach(SeenPrediction(), average, "dilate", (0.0, 0.3)),
         "imagination": Approach(ValidPrediction(0.5, 0.6), average),
-        "imagination_dilated": Approach(ValidPrediction(0.5, 0.6), average, "grow", (0.0, 0.3)),
-        "oracle": Approach(ImaginableArea(1.0), Max(), "truth"),
+        "imagination_dilated": Approach(ValidPrediction(0.5, 0.6), average, "dilate", (0.0, 0.3)),
+        "oracle": Approach(ImaginableArea(1.0), Max(), "ground_truth"),
     }
     settings = {
         "cell_widths": [1.5, 1.0],

@@ -8,7 +8,7 @@ import numpy as np
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.projection import Band
-from imagination.mapping.predictor import Description, Observation
+from imagination.mapping.predictor import Observation, UnitSpec
 from imagination.mapping.semantic_mapper import SemanticMapper, Update
 from imagination.viewers.viewer import NoViewer
 
@@ -23,14 +23,14 @@ class Toy:
         names = categories or ("chair",)
         colours = tuple((200, 60 * number, 40) for number in range(len(names)))
         thresholds = (0.5,) * len(names)
-        self.description = Description(names, colours, thresholds, camera, ego, Band(0.2, 1.5), 0.5, 0.62)
+        self.spec = UnitSpec(names, colours, thresholds, camera, ego, Band(0.2, 1.5), 0.5, 0.62)
 
     def __call__(self, observation: Observation) -> np.ndarray:
-        cells = self.description.ego.cells
+        cells = self.spec.ego.cells
         smeared = cv2.blur(observation.occupied.astype(np.float32), (3, 5)) * 2
         shade = cv2.resize(observation.rgb[..., 0].mean(axis=0)[None] / 255, (cells, 1))
         base = np.clip(smeared * (0.5 + shade) + 0.1 * observation.seen, 0, 1).astype(np.float32)
-        return np.stack([base ** (number + 1) for number in range(len(self.description.categories))])
+        return np.stack([base ** (number + 1) for number in range(len(self.spec.categories))])
 
 
 class Marker(NoViewer):

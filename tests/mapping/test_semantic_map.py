@@ -37,34 +37,34 @@ def test_outlines_contain_exactly_their_cells(mask: np.ndarray) -> None:
     assert len(found) == count - 1
     centres = GRID.to_points(np.moveaxis(np.indices(GRID.shape), 0, -1)).reshape(-1, 2)
     drawn = np.zeros(mask.size, int)
-    for thing in found:
-        inside = Polygon(thing.outline).contains_points(centres)
-        for hole in thing.holes:
+    for obj in found:
+        inside = Polygon(obj.outline).contains_points(centres)
+        for hole in obj.holes:
             inside &= ~Polygon(hole).contains_points(centres)
         drawn += inside
-        loops = [thing.outline, *thing.holes]
-        assert shoelace(thing.outline) > 0 and all(shoelace(hole) < 0 for hole in thing.holes)
-        assert sum(map(shoelace, loops)) == pytest.approx(thing.area) == pytest.approx(0.01 * inside.sum())
+        loops = [obj.outline, *obj.holes]
+        assert shoelace(obj.outline) > 0 and all(shoelace(hole) < 0 for hole in obj.holes)
+        assert sum(map(shoelace, loops)) == pytest.approx(obj.area) == pytest.approx(0.01 * inside.sum())
         steps = np.concatenate([np.roll(loop, -1, axis=0) - loop for loop in loops])
         assert (np.isclose(steps, 0).sum(axis=1) == 1).all()  # along the axes, no corner twice
-        assert thing.confidence == pytest.approx(0.75)
+        assert obj.confidence == pytest.approx(0.75)
     assert (drawn.reshape(GRID.shape) == mask).all()
 
 
 def test_an_object_by_hand() -> None:
     mask = np.zeros(GRID.shape, np.bool_)
     mask[2:4, 1:4] = True
-    (thing,) = maps_of(mask).objects()
-    assert {tuple(np.round(corner, 6)) for corner in thing.outline} == {
+    (obj,) = maps_of(mask).objects()
+    assert {tuple(np.round(corner, 6)) for corner in obj.outline} == {
         (-0.6, 3.8),
         (-0.3, 3.8),
         (-0.3, 4.0),
         (-0.6, 4.0),
     }
-    assert thing.centre == pytest.approx((-0.45, 3.9))
+    assert obj.centre == pytest.approx((-0.45, 3.9))
     assert maps_of(mask).objects(smallest=0.07) == []
     assert len(maps_of(mask, 0.75).objects()) == 1 and maps_of(mask, 0.76).objects() == []
-    text = to_geojson([thing], "odom")
+    text = to_geojson([obj], "odom")
     ring = text["features"][0]["geometry"]["coordinates"][0]
     assert text["frame"] == "odom" and ring[0] == ring[-1] and len(ring) == 5
     assert text["features"][0]["properties"] == {"category": "chair", "confidence": 0.75, "area": 0.06}
@@ -81,8 +81,8 @@ def test_each_category_has_its_threshold() -> None:
         probabilities=np.repeat(both.probabilities, 2, axis=0),
         written=np.repeat(both.written, 2, axis=0),
     )
-    assert [thing.category for thing in both.objects()] == ["bed"]
-    assert [thing.category for thing in replace(both, thresholds=(0.7, 0.9)).objects()] == ["chair"]
+    assert [obj.category for obj in both.objects()] == ["bed"]
+    assert [obj.category for obj in replace(both, thresholds=(0.7, 0.9)).objects()] == ["chair"]
 
 
 def test_out_of_range() -> None:

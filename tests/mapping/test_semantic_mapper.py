@@ -16,7 +16,7 @@ from imagination.geometry.rgbd import Intrinsics, RgbdCamera
 from imagination.map import run
 from imagination.mapping.map_io import LoadedLayer
 from imagination.mapping.mapper import Mapper
-from imagination.mapping.predictor import Description, Observation, SideBySide, valid_imagination
+from imagination.mapping.predictor import Observation, UnitEnsemble, UnitSpec, valid_imagination
 from imagination.mapping.semantic_mapper import Limits, SemanticMapper, around
 from imagination.mapping.update_rules import MovingAverage
 from imagination.recordings.recording import Frames, Images, Shot
@@ -43,7 +43,7 @@ def test_it_registers_what_the_units_say_as_the_evaluation_does() -> None:
     plain = Mapper(grid, EGO, ["chair", "bed"], MovingAverage(0.9))
     for rgb, depth, pose in frames():
         update = mapper.update(rgb, depth, pose)
-        view = project_depth(depth, CAMERA, EGO, toy.description.obstacles)
+        view = project_depth(depth, CAMERA, EGO, toy.spec.obstacles)
         said = toy(Observation(rgb, depth, view.occupied, view.seen, CAMERA.mount_height))
         statement = valid_imagination(said, view.seen[None], 0.5, 0.62, 0.12)
         plain.register(statement.values, statement.mask, pose, statement.imagined)
@@ -282,20 +282,20 @@ def test_dashes_of_a_wall_are_not_called_free() -> None:
 
 
 def test_units_side_by_side() -> None:
-    both = SideBySide([Toy("chair"), Toy("bed")])
-    assert both.description.categories == ("chair", "bed") and both.description.thresholds == (0.5, 0.5)
+    both = UnitEnsemble([Toy("chair"), Toy("bed")])
+    assert both.spec.categories == ("chair", "bed") and both.spec.thresholds == (0.5, 0.5)
     rgb, depth, pose = frames()[0]
     update = SemanticMapper(both).update(rgb, depth, pose)
     assert update.probabilities.shape == (2, 31, 31)
     with pytest.raises(UserError, match="got the categories .*'chair', 'chair'"):
-        SideBySide([Toy("chair"), Toy("chair")])
+        UnitEnsemble([Toy("chair"), Toy("chair")])
     with pytest.raises(UserError, match="got the ego"):
-        SideBySide([Toy("chair"), Toy("bed", ego=EgoGrid(0.12, 33))])
+        UnitEnsemble([Toy("chair"), Toy("bed", ego=EgoGrid(0.12, 33))])
 
 
 def test_descriptions_come_back_from_text_and_strangers_are_refused() -> None:
-    known = Toy("chair", "bed").description
-    assert Description.from_json(known.to_json(more=1), "x") == known
+    known = Toy("chair", "bed").spec
+    assert UnitSpec.from_json(known.to_json(more=1), "x") == known
     for change, told in (
         (('"version": 2', '"version": 1'), "got version 1"),
         (("[0.5, 0.5]", "[0.5]"), "got 1 thresholds for 2 categories"),
@@ -308,9 +308,9 @@ def test_descriptions_come_back_from_text_and_strangers_are_refused() -> None:
         (('"ego"', '"egg"'), "its description cannot be read"),
     ):
         with pytest.raises(UserError, match=told):
-            Description.from_json(known.to_json().replace(*change), "x")
+            UnitSpec.from_json(known.to_json().replace(*change), "x")
     with pytest.raises(UserError, match="its description cannot be read"):
-        Description.from_json("[1", "x")
+        UnitSpec.from_json("[1", "x")
 
 
 def test_intrinsics_of_a_real_sensor() -> None:

@@ -14,22 +14,29 @@ from imagination.mapping import mapper as mapper_module
 from imagination.mapping.map_io import save_maps
 from imagination.mapping.mapper import Mapper
 from imagination.mapping.semantic_map import Maps
-from imagination.mapping.update_rules import EntropyMovingAverage, Max, Mean, MovingAverage, Overwrite, Rule
+from imagination.mapping.update_rules import (
+    EntropyMovingAverage,
+    Latest,
+    Max,
+    Mean,
+    MovingAverage,
+    UpdateRule,
+)
 from imagination.utils.errors import UserError
 
 RESOLUTION = 0.0625  # exact in floating point, so that shifts by whole cells are too
 GRID = Grid(RESOLUTION, 60, 70, (-2.0, -1.0))
 EGO = EgoGrid(RESOLUTION, 21)
-RULES = [MovingAverage(0.9), MovingAverage(0.3), Mean(), Max(), Overwrite(), EntropyMovingAverage(0.8, 0.4)]
+RULES = [MovingAverage(0.9), MovingAverage(0.3), Mean(), Max(), Latest(), EntropyMovingAverage(0.8, 0.4)]
 
 
-def update_by_hand(rule: Rule, values: list[float]) -> float:
+def update_by_hand(rule: UpdateRule, values: list[float]) -> float:
     """What one cell holds after the values, from each rule's own definition."""
     if isinstance(rule, Mean):
         return sum(values) / len(values)
     if isinstance(rule, Max):
         return max(values)
-    if isinstance(rule, Overwrite):
+    if isinstance(rule, Latest):
         return values[-1]
     assert isinstance(rule, MovingAverage | EntropyMovingAverage)
     limit = rule.max_entropy if isinstance(rule, EntropyMovingAverage) else 1.0
@@ -76,12 +83,12 @@ def on_cell(row: int, column: int, theta: float) -> Pose:
     return Pose(float(x), float(y), theta)
 
 
-def mapper(rule: Rule, layers: int = 2) -> Mapper:
+def mapper(rule: UpdateRule, layers: int = 2) -> Mapper:
     return Mapper(GRID, EGO, ["chair", "bed", "table"][:layers], rule)
 
 
 @pytest.mark.parametrize("rule", RULES, ids=repr)
-def test_each_rule_is_that_of_the_loop(rule: Rule) -> None:
+def test_each_rule_is_that_of_the_loop(rule: UpdateRule) -> None:
     poses = [
         Pose(0.11, 0.63, 0.4),
         Pose(0.31, 0.95, 2.0),
@@ -122,7 +129,7 @@ def test_moving_average_by_hand() -> None:
 
 def test_heading_up_the_map_writes_the_window_as_it_is() -> None:
     values, mask = view(0)
-    global_map = mapper(Overwrite())
+    global_map = mapper(Latest())
     global_map.register(values, mask, on_cell(35, 30, np.pi / 2))
     expected = np.zeros((2, *GRID.shape), np.float32)
     expected[:, 15:36, 20:41] = np.where(mask, values, 0)
@@ -137,7 +144,7 @@ def test_quarter_turns_are_exact(turns: int) -> None:
     grid = Grid.centred(61 * RESOLUTION, RESOLUTION)
     written = []
     for out, theta in ((base, 0.0), (turned, turns * np.pi / 2)):
-        global_map = Mapper(grid, EGO, ["chair", "bed"], Overwrite())
+        global_map = Mapper(grid, EGO, ["chair", "bed"], Latest())
         global_map.register(values, mask, Pose(0.0, 0.0, theta))
         out[:] = global_map.probabilities
         written.append(global_map.written)
@@ -161,7 +168,7 @@ def test_whole_cell_shifts_are_exact(dr: int, dc: int, theta: float) -> None:
 def test_values_agree_with_opencvs_bilinear_warp(theta: float) -> None:
     values = cv2.GaussianBlur(np.random.default_rng(3).random((21, 21), dtype=np.float32), (5, 5), 0)
     pose = Pose(0.13, 0.87, float(theta))
-    global_map = mapper(Overwrite(), 1)
+    global_map = mapper(Latest(), 1)
     global_map.register(values[None], np.ones((1, 21, 21), np.bool_), pose)
     robot = GRID.rows - 0.5 - (pose.y + 1.0) / RESOLUTION, (pose.x + 2.0) / RESOLUTION - 0.5
     # OpenCV maps (column, row): up in the view is the heading in the map, right is a quarter turn clockwise of it
@@ -175,7 +182,7 @@ def test_values_agree_with_opencvs_bilinear_warp(theta: float) -> None:
     )
     assert inside.sum() > 300
     assert global_map.written[0][inside].all()
-    assert np.abs(global_map.probabilities[0] - warped)[inside].max() < 0.01  # OpenCV rounds weights to 1/32
+    assert np.abs(global_map.probabilities[0] - warped)[inside].max() < 0.01  # OpenCV epochs weights to 1/32
 
 
 @pytest.mark.parametrize("theta", np.linspace(-3, 3, 9))
@@ -198,7 +205,7 @@ def test_solid_shapes_survive_any_turn(theta: float) -> None:
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-4, 4), st.floats(-3, 5), st.floats(-7, 7))
 def test_a_cell_outside_the_window_stays_untouched(x: float, y: float, theta: float) -> None:
-    pose, global_map = Pose(x, y, theta), mapper(Overwrite(), 1)
+    pose, global_map = Pose(x, y, theta), mapper(Latest(), 1)
     values, everywhere = np.ones((1, 21, 21), np.float32), np.ones((1, 21, 21), np.bool_)
     for row in range(5, 60, 20):
         for column in range(5, 70, 20):
@@ -215,7 +222,7 @@ def test_a_cell_outside_the_window_stays_untouched(x: float, y: float, theta: fl
 
 
 def test_what_a_view_does_not_speak_of_stays() -> None:
-    global_map, (values, mask) = mapper(Overwrite()), view(4)
+    global_map, (values, mask) = mapper(Latest()), view(4)
     pose = on_cell(30, 30, 0.7)
     global_map.register(values, np.zeros_like(mask), pose)
     assert not global_map.written.any()
@@ -225,7 +232,7 @@ def test_what_a_view_does_not_speak_of_stays() -> None:
 
 
 @pytest.mark.parametrize("rule", RULES, ids=repr)
-def test_the_first_write_is_taken_whole_even_if_it_is_zero(rule: Rule) -> None:
+def test_the_first_write_is_taken_whole_even_if_it_is_zero(rule: UpdateRule) -> None:
     global_map, everywhere = mapper(rule, 1), np.ones((1, 21, 21), np.bool_)
     pose = on_cell(30, 30, 0.0)
     global_map.register(np.full((1, 21, 21), 0.375, np.float32), everywhere, pose)
@@ -244,7 +251,7 @@ def test_the_first_write_is_taken_whole_even_if_it_is_zero(rule: Rule) -> None:
     writes=st.lists(st.tuples(st.floats(0, 1, width=32), st.booleans()), min_size=1, max_size=8),
 )
 def test_the_first_sighting_replaces_what_was_only_imagined(
-    rule: Rule, writes: list[tuple[float, bool]]
+    rule: UpdateRule, writes: list[tuple[float, bool]]
 ) -> None:
     small = mapper(rule, layers=1)
     everywhere = np.ones((1, 21, 21), bool)
@@ -259,7 +266,7 @@ def test_the_first_sighting_replaces_what_was_only_imagined(
 
 
 def test_far_outside_the_map_nothing_happens() -> None:
-    global_map = mapper(Overwrite())
+    global_map = mapper(Latest())
     for pose in (Pose(1e300, 0.0, 0.4), Pose(-50.0, 3.0, 0.0), Pose(0.0, 60.0, 1.0)):
         global_map.register(*view(5), pose)
     assert not global_map.written.any()

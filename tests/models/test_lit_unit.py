@@ -14,7 +14,7 @@ from imagination.geometry.grid import EgoGrid
 from imagination.models.backbones import UNet
 from imagination.models.encoders import TimmEncoder
 from imagination.models.imagination_unit import ImaginationUnit
-from imagination.models.lit_unit import UnitTraining
+from imagination.models.lit_unit import LitUnit
 from imagination.models.losses import BCEDice, WeightedBCE, imagination_loss
 from imagination.models.projected_unit import ProjectedUnit
 from imagination.models.unit import Unit
@@ -25,7 +25,7 @@ EGO = EgoGrid(0.12, 17)
 CAMERA = Camera.from_degrees(32, 32, 90.0, 1.25)
 
 
-def training(kind: type = ImaginationUnit, **options: float) -> UnitTraining:
+def training(kind: type = ImaginationUnit, **options: float) -> LitUnit:
     torch.manual_seed(0)
     parts = {
         "encoder": TimmEncoder("resnet18", 32, 32),
@@ -39,9 +39,7 @@ def training(kind: type = ImaginationUnit, **options: float) -> UnitTraining:
         parts |= {"heights": [0.2, 0.5, 1.5], "height_jitter": 0.0}
     schedule = partial(torch.optim.lr_scheduler.StepLR, step_size=1, gamma=0.1)
     loss = WeightedBCE()
-    return UnitTraining(
-        kind(**parts), loss, EGO, 0.36, partial(torch.optim.Adam, lr=0.001), schedule, **options
-    )
+    return LitUnit(kind(**parts), loss, EGO, 0.36, partial(torch.optim.Adam, lr=0.001), schedule, **options)
 
 
 def loader(batches: int) -> DataLoader[dict[str, Tensor]]:
@@ -127,8 +125,8 @@ def test_predict_gives_probabilities_and_leaves_the_module_as_it_was() -> None:
     module = training()
     before = {name: tensor.clone() for name, tensor in module.state_dict().items()}
     batch = random_batch(2, 32, 17)
-    (first, plain), (second, _) = module.predict(batch), module.predict(batch)
-    assert module.training and not first.requires_grad and plain.shape == first.shape
+    (first, raw), (second, _) = module.predict(batch), module.predict(batch)
+    assert module.training and not first.requires_grad and raw.shape == first.shape
     assert torch.equal(first, second) and first.shape == (2, 1, 17, 17)
     assert ((first >= 0) & (first <= 1)).all()
     assert all(torch.equal(tensor, before[name]) for name, tensor in module.state_dict().items())

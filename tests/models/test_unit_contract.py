@@ -65,9 +65,9 @@ def test_mirrored_answers_are_the_mean_of_both_looks(variant: str) -> None:
     twice, once = (
         build(
             f"+model={variant}",
-            f"scale.mirrored_answers={answers}",
+            f"scale.tta_hflip={answers}",
             "scale.height_jitter=0",
-            "scale.dilated_answers=0",
+            "scale.postprocess_dilation=0",
         )
         for answers in ("true", "false")
     )
@@ -85,20 +85,20 @@ def test_mirrored_answers_are_the_mean_of_both_looks(variant: str) -> None:
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize(("window", "cells"), [(0.0, 1), (0.2, 3), (0.36, 3), (0.5, 5)])
 def test_dilated_answers_are_those_of_opencv(variant: str, window: float, cells: int) -> None:
-    plain, painter = (
+    raw, painter = (
         build(
             f"+model={variant}",
-            f"scale.dilated_answers={each}",
+            f"scale.postprocess_dilation={each}",
             "scale.height_jitter=0",
-            "scale.mirrored_answers=false",
+            "scale.tta_hflip=false",
         )
         for each in (0.0, window)
     )
     views, square = inputs(batch_for()), np.ones((cells, cells))
     with torch.no_grad():
-        assert torch.equal(plain(*views), painter(*views))  # training is without
-        thin, thick = (unit.eval()(*views)[:, 0].numpy() for unit in (plain, painter))
-        np.testing.assert_array_equal(painter.plain(*views)[:, 0].numpy(), thin)
+        assert torch.equal(raw(*views), painter(*views))  # training is without
+        thin, thick = (unit.eval()(*views)[:, 0].numpy() for unit in (raw, painter))
+        np.testing.assert_array_equal(painter.raw(*views)[:, 0].numpy(), thin)
     for before, after in zip(thin, thick, strict=True):
         sums, counts = (
             cv2.boxFilter(each, -1, square.shape, normalize=False, borderType=cv2.BORDER_CONSTANT)

@@ -58,13 +58,13 @@ def test_a_building_is_read_back(tmp_path: Path, name: str) -> None:
     assert scene.floor_height == pytest.approx(0.6, abs=1e-3)
     assert scene.ceiling_height == pytest.approx(room.ceiling_height, abs=0.03)
     assert len(scene.mesh.faces) == len(room.mesh.faces)
-    by_label = {thing.label: thing for thing in scene.objects}
-    for thing in room.objects:
-        box = by_label[thing.label].box
-        assert by_label[thing.label].category == thing.category
-        np.testing.assert_allclose(box.centre, thing.box.centre, atol=0.01)
-        assert sorted(box.size[:2]) == pytest.approx(sorted(thing.box.size[:2]), abs=0.01)
-        gap = np.linalg.norm(box.footprint()[:, None] - thing.box.footprint()[None], axis=2).min(axis=1)
+    by_label = {obj.label: obj for obj in scene.objects}
+    for obj in room.objects:
+        box = by_label[obj.label].box
+        assert by_label[obj.label].category == obj.category
+        np.testing.assert_allclose(box.centre, obj.box.centre, atol=0.01)
+        assert sorted(box.size[:2]) == pytest.approx(sorted(obj.box.size[:2]), abs=0.01)
+        gap = np.linalg.norm(box.footprint()[:, None] - obj.box.footprint()[None], axis=2).min(axis=1)
         assert gap.max() < 0.02
     areas = []
     for mesh in (scene.mesh, room.mesh):
@@ -76,7 +76,7 @@ def test_a_building_is_read_back(tmp_path: Path, name: str) -> None:
 def test_habitats_export_of_matterport_is_read_as_well(tmp_path: Path) -> None:
     write_matterport(tmp_path, habitat=True)
     scene = read(tmp_path, "matterport3d").load("17DRP5sb8fy_0")
-    assert {thing.label for thing in scene.objects} == {"chair", "bed", "table", "lamp"}
+    assert {obj.label for obj in scene.objects} == {"chair", "bed", "table", "lamp"}
 
 
 def test_several_floors_are_several_scenes(tmp_path: Path) -> None:

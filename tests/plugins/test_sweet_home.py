@@ -332,7 +332,7 @@ def test_homes_hold_models_of_their_split_alone(
     owner = {credit.model: credit.split for credit in designed.credits()}
     for split in SPLITS:
         scene = homes.load(homes.scenes(split)[0])
-        used = {thing.model for thing in scene.objects if "#" in thing.model}
+        used = {obj.model for obj in scene.objects if "#" in obj.model}
         assert used and {owner[model] for model in used} == {split}
         assert scene.of_category("chair")
     plain = ProceduralHomes(0, dict.fromkeys(SPLITS, 1), table, 0.2)

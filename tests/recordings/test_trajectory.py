@@ -174,7 +174,7 @@ def test_a_stray_time_costs_itself_and_one_more() -> None:
 
 
 def test_frames_are_not_named_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imagination.recordings.tf_tree.MOST_FRAMES", 3)
+    monkeypatch.setattr("imagination.recordings.tf_tree.MAX_FRAMES", 3)
     transforms = Transforms(0.5)
     for number in range(3):
         transforms.add("map", f"track_{number}", 0, np.eye(4), fixed=False)

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from matplotlib.figure import Figure
 
-from imagination.evaluation.trials import Run
+from imagination.evaluation.trials import Trial
 from imagination.geometry.grid import Grid
 from imagination.reporting.content import of_run
 from imagination.reporting.figures.maps import draw_poses, draw_scale_bar
@@ -21,26 +21,26 @@ from tests.helpers.run_folders import make_folder, make_maps
 
 def test_tallies_count_every_threshold() -> None:
     rng = np.random.default_rng(1)
-    maps = [make_maps(Run(home, 3.0, 0), rng) for home in ("test_0000", "test_0002")]
-    tally = maps.tallies(maps)["mine", "bed"]  # test_0002 has no bed
+    maps = [make_maps(Trial(scene, 3.0, 0), rng) for scene in ("test_0000", "test_0002")]
+    confusion_counts = maps.tallies(maps)["mine", "bed"]  # test_0002 has no bed
     level, truth = maps[0].level[3, 1], maps[0].truth[1]
     for step in (1, 30, 99):
         predicted = level >= step
         expected = [(predicted & truth).sum(), (predicted & ~truth).sum(), truth.sum()]
-        assert tally[step - 1].tolist() == expected
+        assert confusion_counts[step - 1].tolist() == expected
 
 
 def test_precision_recall_and_reliability_by_brute_force() -> None:
     rng = np.random.default_rng(2)
     score, truth = rng.integers(1, 100, 5000), rng.random(5000)
     hit = truth < score / 100  # calibrated, as far as chance goes
-    tally = np.array(
+    confusion_counts = np.array(
         [[(hit & (score >= t)).sum(), (~hit & (score >= t)).sum(), hit.sum()] for t in range(1, 100)]
     )
-    precision, recall = precision_recall(tally)
+    precision, recall = precision_recall(confusion_counts)
     assert precision[49] == pytest.approx(hit[score >= 50].mean())
     assert recall[49] == pytest.approx((hit & (score >= 50)).sum() / hit.sum())
-    means, shares = reliability(tally)
+    means, shares = reliability(confusion_counts)
     assert len(means) == 10
     for place in range(10):
         inside = (score >= 10 * place) & (score < 10 * place + 10)
@@ -51,7 +51,7 @@ def test_precision_recall_and_reliability_by_brute_force() -> None:
 
 def test_the_typical_run_is_the_median() -> None:
     rng = np.random.default_rng(3)
-    maps = [make_maps(Run("test_0000", 2.0, number), rng) for number in range(5)]
+    maps = [make_maps(Trial("test_0000", 2.0, number), rng) for number in range(5)]
     scores = []
     for saved in maps:
         predicted, truth = saved.predicted[2, 0], saved.truth[0]
@@ -116,7 +116,9 @@ def test_every_approach_that_we_evaluate_has_a_name_a_meaning_and_a_colour() -> 
 def test_each_viewpoint_set_is_drawn_once() -> None:
     """Two of the widest cell width and one of the narrowest; with one width, as a sweep's members have, two of it."""
     rng = np.random.default_rng(4)
-    maps = [make_maps(Run("test_0000", width, number), rng) for width in (3.0, 2.5, 2.0) for number in (0, 1)]
+    maps = [
+        make_maps(Trial("test_0000", width, number), rng) for width in (3.0, 2.5, 2.0) for number in (0, 1)
+    ]
     for some, shown in (
         (maps, ["3 m, set 0", "3 m, set 1", "2 m, set 0"]),
         (maps[:2], ["3 m, set 0", "3 m, set 1"]),

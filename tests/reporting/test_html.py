@@ -86,7 +86,7 @@ def test_a_second_report_is_the_same_bytes(folder: Path) -> None:
 
 def test_an_incomplete_folder_is_marked(folder: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(folder, tmp_path / "run")
-    table = copy / "tables" / "runs.csv"
+    table = copy / "tables" / "trials.csv"
     table.write_text("".join(table.read_text().splitlines(keepends=True)[:-3]))
     shutil.rmtree(copy / "maps")
     (copy / "single_views.npz").unlink()

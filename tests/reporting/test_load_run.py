@@ -10,10 +10,10 @@ from tensorboard.compat.proto.event_pb2 import Event
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
+from imagination.evaluation.records import write_scenes
 from imagination.report import read
 from imagination.reporting.html import drawings
-from imagination.reporting.load_run import MOST_RESAMPLES, Results
-from imagination.evaluation.records import write_homes
+from imagination.reporting.load_run import MAX_RESAMPLES, Results
 from imagination.utils.errors import UserError
 from tests.helpers.run_folders import make_config, make_folder
 
@@ -24,7 +24,7 @@ def problems(folder: Path) -> str:
 
 def test_missing_runs_are_told(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run")
-    table = folder / "tables" / "runs.csv"
+    table = folder / "tables" / "trials.csv"
     kept = [
         line
         for line in table.read_text().splitlines()
@@ -49,7 +49,7 @@ def test_a_category_without_runs_is_told(tmp_path: Path) -> None:
 def test_without_its_table_an_evaluation_is_counted_from_the_maps_so_far(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run")
     whole = Results(folder).counts
-    (folder / "tables" / "runs.csv").unlink()
+    (folder / "tables" / "trials.csv").unlink()
     (folder / "maps" / "test_0002_2m_1.npz").unlink()
     results = Results(folder)
     for key, runs in whole.items():
@@ -60,7 +60,7 @@ def test_without_its_table_an_evaluation_is_counted_from_the_maps_so_far(tmp_pat
 
 
 @pytest.mark.parametrize(
-    "name", ["tables/runs.csv", "tables/thresholds.csv", "tables/provenance.json", "maps/test_0000_3m_0.npz",
+    "name", ["tables/trials.csv", "tables/thresholds.csv", "tables/provenance.json", "maps/test_0000_3m_0.npz",
              "single_views.npz", "tables/ego.csv"],
 )  # fmt: skip
 def test_damaged_files_are_named_and_the_rest_is_shown(tmp_path: Path, name: str) -> None:
@@ -126,10 +126,10 @@ def test_arrays_that_do_not_fit_are_named(
 @pytest.mark.parametrize(
     ("name", "old", "new", "told"),
     [
-        ("runs.csv", "seg_gt,chair,3,", "seg_gt,chair,nan,", "cell_width: got nan"),
-        ("runs.csv", "seg_gt,chair,3,", "seg_gt,chair,0.5e9,", "cell_width: got 500000000.0"),
-        ("runs.csv", ",70\n", f",{10**30}\n", f"{10**30} truth pixels"),
-        ("runs.csv", ",70\n", ",-70\n", "-70 truth pixels"),
+        ("trials.csv", "seg_gt,chair,3,", "seg_gt,chair,nan,", "cell_width: got nan"),
+        ("trials.csv", "seg_gt,chair,3,", "seg_gt,chair,0.5e9,", "cell_width: got 500000000.0"),
+        ("trials.csv", ",70\n", f",{10**30}\n", f"{10**30} truth pixels"),
+        ("trials.csv", ",70\n", ",-70\n", "-70 truth pixels"),
         ("thresholds.csv", ",150\n", ",50\n", "and 50 truth cells"),
     ],
 )
@@ -189,7 +189,7 @@ def test_yaml_that_no_run_writes_is_refused(tmp_path: Path, text: str) -> None:
 
 def test_more_resamples_than_an_interval_needs_are_not_drawn(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run", evaluation={"resamples": 10**9})
-    assert Results(folder).resamples == MOST_RESAMPLES
+    assert Results(folder).resamples == MAX_RESAMPLES
 
 
 def test_damaged_curves_are_named(tmp_path: Path) -> None:
@@ -255,7 +255,7 @@ def test_a_training_is_made_again_as_it_was_begun(tmp_path: Path, given: str, ag
     (folder / "tables" / "provenance.json").write_text(json.dumps({"command": told}))
     report = f"python -m imagination.report {folder}"
     assert read(folder).commands == [f"python -m imagination.train {again}", report]
-    (tmp_path / "members.csv").write_text("")  # a sweep's member: its values, not the sweep
+    (tmp_path / "jobs.csv").write_text("")  # a sweep's member: its values, not the sweep
     assert read(folder).commands == ["python -m imagination.train +experiment=made", report]
 
 
@@ -275,17 +275,17 @@ def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
 def test_a_run_that_never_evaluated_is_shown_as_that(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(make_config()))
     content = read(tmp_path)
-    assert "runs.csv is missing: the evaluation has not ended" in content.problems[0]
+    assert "trials.csv is missing: the evaluation has not ended" in content.problems[0]
     assert content.sections == [] and "+experiment=made" in content.commands[0]
 
 
 def test_of_an_evaluation_that_stopped_the_homes_so_far_are_counted(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run")
-    (folder / "tables" / "runs.csv").unlink()
-    write_homes(folder / "tables", [f"test_{number:04d}" for number in range(5)])
-    told = "counted again from the maps saved so far, of 3 of 5 homes; missing: test_0003, test_0004"
+    (folder / "tables" / "trials.csv").unlink()
+    write_scenes(folder / "tables", [f"test_{number:04d}" for number in range(5)])
+    told = "counted again from the maps saved so far, of 3 of 5 scenes; missing: test_0003, test_0004"
     assert problems(folder).endswith(told)
-    assert dict(read(folder).facts)["Homes"] == "Rooms, 3 of the test split"
+    assert dict(read(folder).facts)["Scenes"] == "Rooms, 3 of the test split"
 
 
 @pytest.mark.parametrize("left", ["test_0001_2m_0.npz", "test_0001_3m_1.npz"])

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from imagination.report import read
-from imagination.reporting.load_sweep import MOST_MEMBERS, Multirun, grid
+from imagination.reporting.load_sweep import MAX_JOBS, Multirun, grid
 from imagination.utils.errors import UserError
 from tests.helpers.run_folders import APPROACHES, CATEGORIES, WIDTHS, make_folder
 
@@ -55,22 +55,22 @@ def test_hydras_grid_gives_the_members(sweep: Path) -> None:
         (["a=1,2", "b=["], 0),  # no override
         ("a=1,2", 0),
         ([5], 0),
-        (["a=range(0,1000000000)"], MOST_MEMBERS),
-        ([f"a{number}=1,2,3,4,5,6,7,8,9" for number in range(20)], MOST_MEMBERS),
+        (["a=range(0,1000000000)"], MAX_JOBS),
+        ([f"a{number}=1,2,3,4,5,6,7,8,9" for number in range(20)], MAX_JOBS),
     ],
 )
-def test_a_grid_that_was_damaged_is_not_gone_by(tmp_path: Path, task: object, members: int) -> None:
+def test_a_grid_that_was_damaged_is_not_gone_by(tmp_path: Path, task: object, jobs: int) -> None:
     """Nor is one that would fill memory."""
     sweeper = {"_target_": "hydra._internal.core_plugins.basic_sweeper.BasicSweeper", "params": None}
     asked = {"hydra": {"sweeper": sweeper, "overrides": {"task": task}}}
     (tmp_path / "multirun.yaml").write_text(yaml.safe_dump(asked))
-    assert len(grid(tmp_path / "multirun.yaml")) == members
+    assert len(grid(tmp_path / "multirun.yaml")) == jobs
 
 
 def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
     found = Multirun(sweep)
     assert list(found.swept) == ["kernels.imaginable", "model.alpha_max"]
-    assert [found.values(member) for member in found.members] == grid(sweep / "multirun.yaml")
+    assert [found.values(job) for job in found.jobs] == grid(sweep / "multirun.yaml")
     content = read(sweep)
     assert content.problems == []
     assert content.commands == [
@@ -90,7 +90,7 @@ def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
 
 
 def validated(sweep: Path, number: int, iou: float) -> None:
-    """What mapping.csv says of a member on validation homes."""
+    """What mapping.csv says of a member on validation scenes."""
     rows = [
         f"{approach},{category},{width},0.1,0.1,{iou}"
         for approach, category, width in product(APPROACHES, CATEGORIES, WIDTHS)
@@ -112,12 +112,12 @@ def strong(sweep: Path) -> set[int]:
 
 
 def test_the_best_on_validation_homes_is_bold(sweep: Path) -> None:
-    """Whatever test homes say; where members have different truths, none is."""
+    """Whatever test scenes say; where members have different truths, none is."""
     assert strong(sweep) == set()
     for number in range(6):
         validated(sweep, number, 0.3 + 0.1 * (number == 4))
     assert strong(sweep) == {4}
-    table = sweep / "2" / "tables" / "runs.csv"
+    table = sweep / "2" / "tables" / "trials.csv"
     lines = table.read_text().splitlines()
     table.write_text("\n".join([lines[0], *(f"{line}0" for line in lines[1:])]) + "\n")  # ten times the truth
     assert strong(sweep) == set()
@@ -147,7 +147,7 @@ def test_what_was_swept_is_found_in_configs_that_name_no_choices(sweep: Path) ->
         "kernels.imaginable",
         "model.alpha_max",
     ]
-    assert found.values(found.members[5]) in (
+    assert found.values(found.jobs[5]) in (
         {"data.delta": "1.4", "model.alpha_max": "30"}, {"kernels.imaginable": "1.4", "model.alpha_max": "30"}
     )  # fmt: skip
 
@@ -183,13 +183,13 @@ def test_failed_and_missing_members_are_told_and_the_rest_is_shown(sweep: Path) 
 def test_a_sweep_over_cell_widths_is_drawn_over_all_of_each(tmp_path: Path) -> None:
     folder = tmp_path / "multirun"
     for number, width in enumerate((3.0, 2.0)):
-        member = make_folder(folder / str(number), choices=[f"scale.cell_widths=[{width}]"])
-        table = member / "tables" / "runs.csv"
+        job = make_folder(folder / str(number), choices=[f"scale.cell_widths=[{width}]"])
+        table = job / "tables" / "trials.csv"
         head, *lines = table.read_text().splitlines()
         table.write_text("\n".join([head, *(line for line in lines if f",{width:g},test" in line)]) + "\n")
-        config = yaml.safe_load((member / "config.yaml").read_text())
+        config = yaml.safe_load((job / "config.yaml").read_text())
         config["evaluation"]["cell_widths"] = [width]
-        (member / "config.yaml").write_text(yaml.safe_dump(config))
+        (job / "config.yaml").write_text(yaml.safe_dump(config))
     content = read(folder)
     assert content.problems == []
     (drawing, _) = content.sections[1].drawings
@@ -204,7 +204,7 @@ def test_members_that_share_no_category_are_drawn(tmp_path: Path) -> None:
         folder = make_folder(
             tmp_path / str(number), number, seed=seed, choices=[f"+experiment={experiment}", f"seed={seed}"]
         )
-        table = folder / "tables" / "runs.csv"
+        table = folder / "tables" / "trials.csv"
         head, *lines = table.read_text().splitlines()
         left = ",bed," if experiment == "chair_unet" else "imagination,"
         table.write_text("\n".join([head, *(line for line in lines if left not in line)]) + "\n")
@@ -232,13 +232,13 @@ def test_the_sweeps_own_list_of_members_is_believed(sweep: Path) -> None:
         lines.append(
             f"{number},hash,{state},,+experiment=made kernels.imaginable={delta} model.alpha_max={alpha},{problem}"
         )
-    (sweep / "members.csv").write_text("\n".join(lines) + "\n")
+    (sweep / "jobs.csv").write_text("\n".join(lines) + "\n")
     (sweep / "2" / "config.yaml").write_text("a: [")  # what the list says is enough
     (sweep / ("9" * 12)).mkdir()  # no member of any sweep
     told = read(sweep).problems
     assert told[0] == "member 2 (kernels.imaginable=1.0, model.alpha_max=10) is failed: out of luck"
     assert told[1].startswith("member 4 (kernels.imaginable=1.4, model.alpha_max=10) is missing")
     assert len(told) == 2
-    (sweep / "members.csv").write_text("folder,state\nx,done\n")
-    with pytest.raises(UserError, match="members.csv: is damaged"):
+    (sweep / "jobs.csv").write_text("folder,state\nx,done\n")
+    with pytest.raises(UserError, match="jobs.csv: is damaged"):
         read(sweep)

@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 
 from imagination.evaluation.records import Example, Key, Report
-from imagination.evaluation.threshold_selection import Choice
-from imagination.evaluation.trials import Run
+from imagination.evaluation.threshold_selection import SelectedThreshold
+from imagination.evaluation.trials import Trial
 from imagination.geometry.grid import Grid
 from imagination.reporting.figures.maps import CORRECT, FALSE, MISSED, agreement_image, side_by_side
 from imagination.reporting.figures.write import write_figures
@@ -21,7 +21,7 @@ from tests.helpers.toy_evaluation import make_protocol
 
 COLUMNS = (
     "approach,category,cell_width,runs,iou_pooled,iou_mean,iou_ci_low,iou_ci_high,"
-    "correct_pixels,false_pixels,truth_pixels"
+    "correct_pixels,false_positives,gt_pixels"
 )
 ORIGIN = Provenance(
     "python -m imagination.evaluate ckpt=x", 3, "a processor, 2 cores", 12.3, "128 x 128 pixels"
@@ -41,7 +41,7 @@ def report() -> Report:
     map_ = np.zeros((20, 20), bool)
     map_[4:9, 5:9] = True
     example = Example(
-        Run("test_0", 1.5, 0),
+        Trial("test_0", 1.5, 0),
         "chair",
         Grid(0.1, 20, 20, (-1.0, -1.0)),
         map_,
@@ -49,11 +49,11 @@ def report() -> Report:
         {name: np.roll(map_, place, axis=0) for place, name in enumerate(protocol.approaches)},
         np.array([[0.0, 0.0, 0.5]]),
     )
-    choices = {(name, "chair"): Choice(0.35, 0.3, 0.5) for name in protocol.approaches}
-    homes, left_out = {"chair": ["test_0", "test_1", "test_2"]}, {"chair": ["test_3"]}
+    choices = {(name, "chair"): SelectedThreshold(0.35, 0.3, 0.5) for name in protocol.approaches}
+    scenes, left_out = {"chair": ["test_0", "test_1", "test_2"]}, {"chair": ["test_3"]}
     snaps = [np.array([0.1, 0.3]), np.array([])]
     seen = {key: np.minimum(count, 8) for key, count in counts.items()}
-    return Report(counts, counts, choices, homes, left_out, [example], snaps, seen, {"chair": 0.5})
+    return Report(counts, counts, choices, scenes, left_out, [example], snaps, seen, {"chair": 0.5})
 
 
 def test_the_tables_are_what_the_counts_say(tmp_path: Path, report: Report) -> None:
@@ -70,11 +70,11 @@ def test_the_tables_are_what_the_counts_say(tmp_path: Path, report: Report) -> N
     assert float(row["iou_pooled"]) == pytest.approx(counts[..., 0].sum() / counts[..., 1:].sum(), abs=5e-5)
     assert float(row["iou_ci_low"]) <= float(row["iou_pooled"]) <= float(row["iou_ci_high"])
     assert float(row["area_m2"]) == pytest.approx(counts[..., 0].sum() * 0.01)
-    assert (row["homes"], row["homes_left_out"]) == ("3", "1")
+    assert (row["scenes"], row["scenes_left_out"]) == ("3", "1")
     seen = report.seen[Key("imagination", "chair", 1.5)]
     for name, part in (("iou_seen", seen), ("iou_unseen", counts - seen)):
         assert float(row[name]) == pytest.approx(part[..., 0].sum() / part[..., 1:].sum(), abs=5e-5)
-    per_run = list(csv.DictReader((tmp_path / "runs.csv").read_text().splitlines()))
+    per_run = list(csv.DictReader((tmp_path / "trials.csv").read_text().splitlines()))
     assert len(per_run) == 14 * 6
     assert sum(
         int(r["correct_pixels"])
@@ -112,7 +112,7 @@ def test_the_same_report_gives_the_same_bytes(tmp_path: Path, report: Report) ->
         write_figures(tmp_path / folder / "figures", report, rows)
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
     assert [path.name for path in files] == [
-        "iou.png", "maps_chair.png", "mapping.csv", "mapping.md", "paired.csv", "provenance.json", "runs.csv",
+        "iou.png", "maps_chair.png", "mapping.csv", "mapping.md", "paired.csv", "provenance.json", "trials.csv",
     ]  # fmt: skip
     for path in files:
         assert (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes()

@@ -10,7 +10,7 @@ import pytest
 from imagination.reporting import paper_layout, paper_numbers
 from imagination.reporting.load_run import Results
 from imagination.reporting.paper_layout import Cell, Column, Layout, Line
-from tests.helpers.run_folders import APPROACHES, CATEGORIES, HOMES, make_folder
+from tests.helpers.run_folders import APPROACHES, CATEGORIES, SCENES, make_folder
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def tables(folder: Path) -> dict[str, Layout]:
 
 
 def recount(folder: Path, approach: str, category: str, width: float) -> np.ndarray:
-    """Correct, false and truth pixels of each home, from the saved maps with plain numpy."""
+    """Correct, false and truth pixels of each scene, from the saved maps with plain numpy."""
     totals: dict[str, np.ndarray] = {}
     for path in sorted((folder / "maps").glob(f"*_{width:g}m_*.npz")):
         with np.load(path, allow_pickle=False) as maps:
@@ -36,7 +36,7 @@ def recount(folder: Path, approach: str, category: str, width: float) -> np.ndar
             predicted = maps["level"][place, layer] >= maps["threshold"][place, layer]
             if maps["present"][layer]:
                 counts = [(predicted & truth).sum(), (predicted & ~truth).sum(), truth.sum()]
-                totals[str(maps["home"])] = totals.get(str(maps["home"]), 0) + np.array(counts)
+                totals[str(maps["scene"])] = totals.get(str(maps["scene"]), 0) + np.array(counts)
     return np.array(list(totals.values()))
 
 
@@ -47,15 +47,17 @@ def test_tables_agree_with_a_recount_from_the_saved_maps(folder: Path, tables: d
         for approach, row in zip(APPROACHES, ours, strict=True):
             for category in CATEGORIES:
                 for width in (3.0, 2.0):
-                    homes = recount(folder, approach, category, width)
-                    assert len(homes) == (3 if category == "chair" else 2)
-                    correct, false, truth = homes.sum(axis=0)
+                    scenes = recount(folder, approach, category, width)
+                    assert len(scenes) == (3 if category == "chair" else 2)
+                    correct, false, truth = scenes.sum(axis=0)
                     expected = correct / (false + truth) if stem == "iou" else correct
                     at = head.index(f"{category}_{width:g}m")
                     assert float(row[at]) == pytest.approx(expected, abs=6e-4)
                     low, high = float(row[at + 1]), float(row[at + 2])
                     each = (
-                        homes[:, 0] / homes[:, 1:].sum(axis=1) if stem == "iou" else len(homes) * homes[:, 0]
+                        scenes[:, 0] / scenes[:, 1:].sum(axis=1)
+                        if stem == "iou"
+                        else len(scenes) * scenes[:, 0]
                     )
                     assert each.min() - 6e-4 <= low <= high <= each.max() + 6e-4
                     assert low < high
@@ -165,5 +167,5 @@ def test_names_cannot_break_a_table() -> None:
 
 def test_homes_are_all_used(folder: Path) -> None:
     results = Results(folder)
-    assert {home for runs in results.counts.values() for home, _ in runs} == set(HOMES)
+    assert {scene for runs in results.counts.values() for scene, _ in runs} == set(SCENES)
     assert results.problems == []

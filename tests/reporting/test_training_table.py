@@ -18,23 +18,23 @@ def checkpoint(
     return Read.read(path)
 
 
-def counts(rounds: int) -> dict[str, Any]:
-    return {"rounds": rounds, "samples": 640 * rounds, "views": 900, "seconds": 30.0 * rounds, "best": 0.625}
+def counts(epochs: int) -> dict[str, Any]:
+    return {"epochs": epochs, "samples": 640 * epochs, "views": 900, "seconds": 30.0 * epochs, "best": 0.625}
 
 
 def test_every_network_tells_what_it_took(tmp_path: Path) -> None:
     network = tmp_path / "network"
     checkpoint(network / "last.ckpt", "hrnet", "images", ["chair", "bed"], {
-        "TrainingRecord": counts(9), "UntilFlat": {"flat": True},
+        "TrainingStats": counts(9), "UntilFlat": {"flat": True},
     })  # fmt: skip
     best = checkpoint(
-        network / "best.ckpt", "hrnet", "images", ["chair", "bed"], {"TrainingRecord": counts(5)}
+        network / "best.ckpt", "hrnet", "images", ["chair", "bed"], {"TrainingStats": counts(5)}
     )
-    unit = checkpoint(tmp_path / "best.ckpt", "chair_unet", "maps", ["chair"], {"TrainingRecord": counts(4)})
+    unit = checkpoint(tmp_path / "best.ckpt", "chair_unet", "maps", ["chair"], {"TrainingStats": counts(4)})
     old = checkpoint(tmp_path / "old.ckpt", "chair_unet", "maps", ["chair"], {})
     report = Report({}, {}, {}, {"chair": ["test_0"]}, {"chair": []}, [], [], {}, {"chair": 0.5})
     rows = training_rows([unit, best, old], report)
-    assert [(row["network"], row["category"], row["rounds"]) for row in rows] == [
+    assert [(row["network"], row["category"], row["epochs"]) for row in rows] == [
         ("chair_unet", "chair", "4"), ("hrnet", "chair", "9"), ("chair_unet", "chair", ""),
     ]  # fmt: skip
     assert [row["until"] for row in rows] == ["last round", "flat", ""]

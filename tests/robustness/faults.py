@@ -37,7 +37,7 @@ Done = dict[str, int]
 FRAMES = 200
 """Of the recorded drive."""
 
-HOMES = 3
+SCENES = 3
 """Of the corpus."""
 
 TICK = 0.005
@@ -93,12 +93,12 @@ def trained_again(run: Path, done: Done) -> list[str]:
 
 
 def written(corpus: Path) -> Done:
-    """When the homes that are there were written."""
+    """When the scenes that are there were written."""
     return {path.name: path.stat().st_mtime_ns for path in corpus.glob("*.record.json")}
 
 
 def written_again(corpus: Path, done: Done) -> list[str]:
-    """Homes that were there and are newer now."""
+    """Scenes that were there and are newer now."""
     now = written(corpus)
     return [name for name, time in done.items() if now.get(name) != time]
 
@@ -120,10 +120,10 @@ def read_map(run: Path) -> Result:
 
 
 def read_corpus(corpus: Path) -> Result:
-    """Chunks and records; index and description, which name all homes, once these are there, without the date."""
+    """Chunks and records; index and description, which name all scenes, once these are there, without the date."""
     found = {path.name: path.read_bytes() for kind in ("bin", "json") for path in corpus.glob(f"*.{kind}")}
     index = json.loads(found.pop(INDEX, "{}")) | {"updated_at": ""}
-    if len(index.get("chunks", [])) == HOMES + 1:
+    if len(index.get("chunks", [])) == SCENES + 1:
         return found | {INDEX: json.dumps(index).encode()}
     return {name: content for name, content in found.items() if name != ABOUT}
 
@@ -135,8 +135,8 @@ def jobs(folder: Path) -> list[Job]:
     unit = folder / "chair.onnx"
     export([Checkpoint.read(make_checkpoint(folder / "chair.ckpt"))], unit, "onnx", "float32", samples(1))
     camera = "recording.camera.values.colour={width:48,height:48,fx:24,fy:24,cx:23.5,cy:23.5}"
-    train = "+experiment=chair_unet", "scale=test", "scale.rounds=4", "scale.eval_every=2", "scale.workers=1"
-    render = "scale=test", f"scale.homes.train={HOMES}", "scale.workers=1", "views=16"
+    train = "+experiment=chair_unet", "scale=test", "scale.epochs=4", "scale.eval_every=2", "scale.workers=1"
+    render = "scale=test", f"scale.scenes.train={SCENES}", "scale.workers=1", "views=16"
     corpus = "outputs/render/corpus"
     drive_words = "recording=tum", f"recording.path={folder / 'tum'}", f"unit={unit}", camera
     return [

@@ -48,8 +48,8 @@ VIEWS = 300
 HERE = "this process"
 
 TEST = "scale=test", "scale.workers=1"
-TRAIN_ON = "train", "+experiment=chair_unet", *TEST, "scale.rounds=1000000", "scale.eval_every=200"
-RENDER_ON = "prepare_shards", "shards=corpus", *TEST, "scale.homes.train=9999", "views=16"
+TRAIN_ON = "train", "+experiment=chair_unet", *TEST, "scale.epochs=1000000", "scale.eval_every=200"
+RENDER_ON = "prepare_shards", "shards=corpus", *TEST, "scale.scenes.train=9999", "views=16"
 """What goes on behind the faults."""
 
 COLUMNS = {"train": "training", "map": "mapping", "prepare_shards": "rendering"}
@@ -160,13 +160,13 @@ class Long:
         self.process.wait()
 
 
-def rounds(folder: Path) -> int:
+def epochs(folder: Path) -> int:
     """Of the training in a folder."""
     checkpoint = folder / "outputs" / "chair_unet" / "latest" / LAST
     return int(read_state(checkpoint)["epoch"]) + 1 if checkpoint.is_file() else 0
 
 
-def homes(folder: Path) -> int:
+def scenes(folder: Path) -> int:
     """Of the corpus in a folder."""
     return sum(1 for _ in folder.glob("corpus/*.record.json"))
 
@@ -187,12 +187,12 @@ class Soak:
         except (subprocess.CalledProcessError, FileNotFoundError) as error:
             self.mounts = False
             self.left_out.append(f"Small disks are left out: {error}.")
-        self.rounds: list[dict[str, float]] = []  # memory, MB
+        self.epochs: list[dict[str, float]] = []  # memory, MB
         for job in self.jobs:
             self.faults.nothing(job)
         self.longs = [
-            Long("one training", folder / "train_on", TRAIN_ON, rounds),
-            Long("one rendering", folder / "render_on", RENDER_ON, homes),
+            Long("one training", folder / "train_on", TRAIN_ON, epochs),
+            Long("one rendering", folder / "render_on", RENDER_ON, scenes),
         ]
 
     def run(self, minutes: float, meanwhile: Meanwhile) -> None:
@@ -206,7 +206,7 @@ class Soak:
                 meanwhile.peak = 0.0
                 self.round(meanwhile)
                 held = {long.name: long.look() for long in self.longs}
-                self.rounds.append({**self.faults.peaks, HERE: meanwhile.peak, **held})
+                self.epochs.append({**self.faults.peaks, HERE: meanwhile.peak, **held})
         finally:
             for long in self.longs:
                 long.end()
@@ -214,7 +214,7 @@ class Soak:
     def round(self, meanwhile: Meanwhile) -> None:
         """Do everything to every job once."""
         faults, folder = self.faults, self.faults.folder / "now"
-        full = faults.full_disk if self.mounts and len(self.rounds) % 2 else faults.limited  # in turn
+        full = faults.full_disk if self.mounts and len(self.epochs) % 2 else faults.limited  # in turn
         for fault in (faults.killed, full, faults.damaged, faults.shared):
             for job in self.jobs:
                 if job.cached or fault not in (faults.damaged, faults.shared):
@@ -227,7 +227,7 @@ class Soak:
 
     def check(self) -> None:
         """Raise if memory grew, what goes on stood still, or nothing was there to be met."""
-        first, last = self.rounds[0], self.rounds[-1]
+        first, last = self.epochs[0], self.epochs[-1]
         told = {name: f"{name}: {first[name]:.0f} to {last[name]:.0f} MB" for name in first}
         grown = [told[name] for name in first if last[name] > FLAT * first[name]]
         assert not grown, f"memory grew: {', '.join(grown)}"
@@ -245,7 +245,7 @@ class Soak:
 
     def behind(self, passes: int) -> list[str]:
         """What went on behind the faults."""
-        first, last = self.rounds[0], self.rounds[-1]
+        first, last = self.epochs[0], self.epochs[-1]
         return [
             f"Meanwhile one process rendered and mapped the same {VIEWS} views {passes} times, always with the same "
             f"images and map, with {first[HERE]:.0f} MB in the first round and {last[HERE]:.0f} in the last. Behind "
@@ -260,7 +260,7 @@ class Soak:
 
     def table(self) -> list[str]:
         """What was done how often to which job, and the memory that it took."""
-        count, first, last = self.faults.count, self.rounds[0], self.rounds[-1]
+        count, first, last = self.faults.count, self.epochs[0], self.epochs[-1]
 
         def cell(job: str, counted: tuple[str, ...]) -> str:
             numbers = [str(count[what, job]) if (what, job) in count else "–" for what in counted]
@@ -299,7 +299,7 @@ def main(words: list[str]) -> None:
         meanwhile.check()
     text = "\n".join(
         [
-            f"{date.today()}: {values['minutes']:g} minutes, {len(soak.rounds)} rounds, seed {values['seed']:g}.",
+            f"{date.today()}: {values['minutes']:g} minutes, {len(soak.epochs)} epochs, seed {values['seed']:g}.",
             *soak.left_out,
             "",
             *soak.table(),
@@ -307,7 +307,7 @@ def main(words: list[str]) -> None:
             *soak.behind(meanwhile.passes),
         ]
     )
-    print(text, *soak.rounds, sep="\n")
+    print(text, *soak.epochs, sep="\n")
     soak.check()
     write_part("soak", text)
 

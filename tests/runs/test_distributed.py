@@ -20,7 +20,7 @@ from imagination.runs.checkpoint import Checkpoint, read_state
 from imagination.runs.distributed import environment
 from imagination.runs.folder import LAST
 from imagination.runs.resume import lost
-from imagination.utils.process_group import begun_elsewhere
+from imagination.utils.process_group import rotated_by_rank
 from imagination.views.collector import Views, concatenate
 from tests.conftest import ROOT, Command
 from tests.data.test_datamodule import data, same
@@ -45,9 +45,9 @@ def test_each_process_has_scenes_of_its_own(tmp_path: Path, monkeypatch: pytest.
         seen.append(set(collector.scenes))
         assert collector.views_per_collection == 4  # of 8 that both collect
         modules.append(data(tmp_path))
-        assert set(begun_elsewhere(["a", "b", "c"])) == {"a", "b", "c"}
+        assert set(rotated_by_rank(["a", "b", "c"])) == {"a", "b", "c"}
     assert not seen[0] & seen[1] and seen[0] | seen[1] == {"train_0", "train_1", "train_2"}
-    assert begun_elsewhere(["a", "b", "c"])[0] == "b"
+    assert rotated_by_rank(["a", "b", "c"])[0] == "b"
 
 
 def test_held_out_views_are_shared_out_without_repetition(
@@ -75,8 +75,8 @@ def test_one_process_collects_as_before(tmp_path: Path) -> None:
     ("overrides", "told"),
     [
         (["scale.batch_size=5"], "scale.batch_size: got 5 for 2 processes, expected a multiple of 2"),
-        (["scale.homes.train=1"], "scale.homes.train: got 1 for 2 processes"),
-        (["scale.held_out_views.val=1"], "scale.held_out_views.val: got 1 for 2 processes"),
+        (["scale.scenes.train=1"], "scale.scenes.train: got 1 for 2 processes"),
+        (["scale.eval_views.val=1"], "scale.eval_views.val: got 1 for 2 processes"),
         (["seed=1,2", "--multirun"], "trainer.devices: got 2 processes in a sweep"),
     ],
 )
@@ -151,7 +151,7 @@ def scalars(folder: Path, tag: str) -> list[float]:
 @pytest.mark.slow
 def test_scores_are_those_of_one_process(command: Command, tmp_path: Path) -> None:
     """Two processes train and are tested; one process then tests the same checkpoint: the same tables and loss."""
-    views = "scale.held_out_views={val: 9, test: 9}"  # of which a batch takes 4: one is left over
+    views = "scale.eval_views={val: 9, test: 9}"  # of which a batch takes 4: one is left over
     done = command("train", *TWO, views, timeout=1200)
     assert done.returncode == 0, done.stderr
     folders = [path for path in (tmp_path / "outputs" / "chair_unet").iterdir() if not path.is_symlink()]
@@ -171,7 +171,7 @@ def test_scores_are_those_of_one_process(command: Command, tmp_path: Path) -> No
 def test_a_process_that_dies_stops_the_job_and_it_goes_on(
     command: Command, tmp_path: Path, victim: int
 ) -> None:
-    long = ["scale.rounds=100000", "scale.eval_every=100000"]
+    long = ["scale.epochs=100000", "scale.eval_every=100000"]
     with open(tmp_path / "told", "w") as told:
         process = subprocess.Popen(
             [sys.executable, "-m", "imagination.train", *TWO, *long],
@@ -196,20 +196,20 @@ def test_a_process_that_dies_stops_the_job_and_it_goes_on(
     text = (tmp_path / "told").read_text()
     assert "another of the processes that train together is gone" in text, text
     assert f"ckpt_path={last.relative_to(tmp_path).parts[0]}" in text
-    rounds = read_state(last)["epoch"] + 1
+    epochs = read_state(last)["epoch"] + 1
     before = Checkpoint.read(last).record["samples"]
-    done = command("train", *TWO, *long, "resume=latest", f"trainer.max_epochs={rounds + 1}", timeout=1200)
+    done = command("train", *TWO, *long, "resume=latest", f"trainer.max_epochs={epochs + 1}", timeout=1200)
     assert done.returncode == 0, done.stderr
-    assert read_state(last)["epoch"] == rounds
+    assert read_state(last)["epoch"] == epochs
     # one more round and no other: the counts of those before it came out of the checkpoint
-    assert Checkpoint.read(last).record["samples"] == before * (rounds + 1) // rounds
+    assert Checkpoint.read(last).record["samples"] == before * (epochs + 1) // epochs
     steps = read_state(last)["global_step"]
     assert (
         steps * read_state(last)["imagination"]["values"]["scale"]["batch_size"]
-        == before * (rounds + 1) // rounds
+        == before * (epochs + 1) // epochs
     )
     rounds_logged = [event.step for event in events(last.parent.parent, "train/waiting")]
-    assert rounds_logged == sorted(set(rounds_logged)) and len(rounds_logged) == rounds + 1
+    assert rounds_logged == sorted(set(rounds_logged)) and len(rounds_logged) == epochs + 1
 
 
 def child_of(pid: int) -> int:

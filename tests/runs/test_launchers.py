@@ -39,8 +39,8 @@ def weights(outputs: Path) -> dict[str, dict[str, bytes]]:
         path.parts[-3]: read_state(path) for path in outputs.glob("*/multirun_*/*/checkpoints/last.ckpt")
     }
     return {
-        member: {name: value.numpy().tobytes() for name, value in state["state_dict"].items()}
-        for member, state in found.items()
+        job: {name: value.numpy().tobytes() for name, value in state["state_dict"].items()}
+        for job, state in found.items()
     }
 
 
@@ -115,7 +115,7 @@ def test_a_member_that_fails_is_told_and_the_others_finish(command: Command, tmp
 @pytest.mark.slow
 def test_a_killed_workers_task_is_retried(command: Command, tmp_path: Path) -> None:
     pytest.importorskip("ray")
-    long = [*SWEEP, "scale.rounds=6"]
+    long = [*SWEEP, "scale.epochs=6"]
     done = command(*long, f"paths.outputs={tmp_path / 'alone'}", timeout=900)
     assert done.returncode == 0, done.stderr
     words = [*long, "hydra/launcher=ray", f"paths.outputs={tmp_path / 'outputs'}"]
@@ -168,7 +168,7 @@ def test_a_member_that_is_lost_stops_no_other(tmp_path: Path, monkeypatch: pytes
 @pytest.mark.slow
 def test_parts_of_a_corpus_are_rendered_on_ray(command: Command, tmp_path: Path) -> None:
     pytest.importorskip("ray")
-    words = ["scale=test", "scale.homes.train=3", "views=8"]
+    words = ["scale=test", "scale.scenes.train=3", "views=8"]
     spread = ["-m", "parts=2", "part=0,1", "hydra/launcher=ray"]
     for folder, choice in (("alone", []), ("spread", spread)):
         done = command("prepare_shards", *choice, *words, f"shards={folder}", timeout=600)
@@ -177,7 +177,7 @@ def test_parts_of_a_corpus_are_rendered_on_ray(command: Command, tmp_path: Path)
         {path.name: path.read_bytes() for path in (tmp_path / folder).glob("chunk-*.bin")}
         for folder in ("alone", "spread")
     )
-    assert alone == together and len(alone) == 4  # three homes and the description
+    assert alone == together and len(alone) == 4  # three scenes and the description
     indexes = [json.loads((tmp_path / folder / "index.json").read_text()) for folder in ("alone", "spread")]
     assert indexes[0]["chunks"] == indexes[1]["chunks"]
 
@@ -200,7 +200,7 @@ def workers(ancestor: int) -> list[int]:
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            if b"ray::run_member" in (folder / "cmdline").read_bytes():
+            if b"ray::run_job" in (folder / "cmdline").read_bytes():
                 found.append(int(folder.name))
         except OSError:
             continue

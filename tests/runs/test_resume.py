@@ -57,7 +57,7 @@ def test_a_checkpoint_brings_its_values_and_no_targets(tmp_path: Path) -> None:
     assert read.model().loss.alpha_max == 12.0
     read.require(config())
     with pytest.raises(UserError, match=r"is of chair at 0.12 m a cell, but .* asks for chair at 0.06 m"):
-        read.require(config("scale=desk"))
+        read.require(config("scale=small"))
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_a_hidden_target_is_refused() -> None:
 
 def test_a_run_goes_on_with_its_own_config_only(command: Command, tmp_path: Path) -> None:
     assert command("train", *JOB, "seed=3", "trainer.max_epochs=1").returncode == 0
-    for refused in ("seed=4", "scale=desk", "model=projected"):
+    for refused in ("seed=4", "scale=small", "model=projected"):
         done = command("train", "resume=latest", refused)
         assert done.returncode == 2 and f"got {refused}, but a run goes on with its own config" in done.stderr
     # what it began with may be said again, as a job of a cluster does that is started once more
@@ -228,8 +228,8 @@ def test_every_experiment_trains_stops_and_goes_on(command: Command, tmp_path: P
 
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_tables(tmp_path: Path, command: Command) -> None:
-    """Twice, each with a cold cache of its own; another seed gives others. In bfloat16, as at desk scale."""
-    learning = ["scale.rounds=10", "scale.learning_rate=0.01"]  # units that know nothing all answer the same
+    """Twice, each with a cold cache of its own; another seed gives others. In bfloat16, as at small scale."""
+    learning = ["scale.epochs=10", "scale.learning_rate=0.01"]  # units that know nothing all answer the same
     job = [*JOB, *learning, "scale.precision=bf16-mixed"]
     for folder, seed in (("one", 5), ("two", 5), ("other", 6)):
         done = command("train", *job, f"seed={seed}", f"paths.outputs={folder}", timeout=900)
@@ -241,7 +241,7 @@ def test_the_same_seed_gives_the_same_tables(tmp_path: Path, command: Command) -
         }
         for folder in ("one", "two", "other")
     }
-    assert {"mapping.csv", "paired.csv", "runs.csv", "ego.csv"} <= set(tables["one"])
+    assert {"mapping.csv", "paired.csv", "trials.csv", "ego.csv"} <= set(tables["one"])
     assert tables["one"] == tables["two"] != tables["other"]
     caches = [
         sorted(path.name for path in (tmp_path / folder / "cache").rglob("*.bin"))
@@ -260,14 +260,14 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(
 ) -> None:
     """SIGKILL some seconds after the first checkpoint, move the folder, resume: the same weights, tables and curves."""
     job = [f"+experiment={experiment}", "scale=test", "scale.eval_every=2", "scale.workers=1"]
-    if experiment == "segmentation_hrnet":  # six rounds: beyond those in which its rate falls, until flat
+    if experiment == "segmentation_hrnet":  # six epochs: beyond those in which its rate falls, until flat
         job += [
-            "scale.hrnet_most_rounds=8",
-            "callbacks.until_flat.patience=5",
-            "callbacks.until_flat.margin=1.0",
+            "scale.hrnet_max_epochs=8",
+            "callbacks.early_stopping.patience=5",
+            "callbacks.early_stopping.margin=1.0",
         ]
     else:
-        job += ["scale.rounds=6", "scale.final_learning_rate=0.00001"]
+        job += ["scale.epochs=6", "scale.final_learning_rate=0.00001"]
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert command("train", *job, f"paths.outputs={whole}").returncode == 0
     process = subprocess.Popen(
@@ -290,7 +290,7 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(
     done = command("train", "resume=latest", f"paths.outputs={broken}", timeout=900)
     assert done.returncode == 0, done.stderr
     assert not list((broken / experiment).rglob(".*.part"))
-    for name in ("mapping.csv", "runs.csv"):
+    for name in ("mapping.csv", "trials.csv"):
         table = Path(experiment) / "latest" / "tables" / name
         assert (whole / table).read_bytes() == (broken / table).read_bytes()
     one, other = (read_state(outputs / last) for outputs in (whole, broken))
@@ -316,10 +316,10 @@ def points(folder: Path) -> dict[str, list[int]]:
 
 
 def test_a_run_that_goes_on_beyond_its_rounds_keeps_the_final_rate() -> None:
-    def schedule(kind: type, rounds: int, resumed: bool = False) -> list[float]:
+    def schedule(kind: type, epochs: int, resumed: bool = False) -> list[float]:
         optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=0.1)
         scheduler, rates = kind(optimizer, T_max=5, eta_min=0.001), []
-        for number in range(rounds):
+        for number in range(epochs):
             rates.append(optimizer.param_groups[0]["lr"])
             optimizer.step()
             scheduler.step()

@@ -27,7 +27,7 @@ JOB = ["+experiment=chair_unet", "scale=test"]
 
 
 def states(sweep: Path) -> list[str]:
-    return [member.state for member in sweep_jobs.read(sweep)]
+    return [job.state for job in sweep_jobs.read(sweep)]
 
 
 def only(pattern: Path) -> Path:
@@ -37,8 +37,8 @@ def only(pattern: Path) -> Path:
 
 def test_members_are_numbered_in_order_and_found_again(tmp_path: Path) -> None:
     for key in ("a", "b", "a", "c"):
-        sweep_jobs.enrol(tmp_path, key, ["seed=1", "name='x, y'"])
-    assert [(member.folder, member.key) for member in sweep_jobs.read(tmp_path)] == [
+        sweep_jobs.register(tmp_path, key, ["seed=1", "name='x, y'"])
+    assert [(job.folder, job.key) for job in sweep_jobs.read(tmp_path)] == [
         ("0", "a"), ("1", "b"), ("2", "c"),
     ]  # fmt: skip
     sweep_jobs.update(tmp_path, "b", state="failed", problem='got 3, "expected" 2')
@@ -49,20 +49,20 @@ def test_members_are_numbered_in_order_and_found_again(tmp_path: Path) -> None:
 
 def test_members_enrol_at_once(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as pool:
-        list(pool.map(lambda number: sweep_jobs.enrol(tmp_path, str(number % 10), []), range(40)))
-    assert sorted(int(member.folder) for member in sweep_jobs.read(tmp_path)) == list(range(10))
+        list(pool.map(lambda number: sweep_jobs.register(tmp_path, str(number % 10), []), range(40)))
+    assert sorted(int(job.folder) for job in sweep_jobs.read(tmp_path)) == list(range(10))
 
 
 def test_a_killed_member_counts_as_stopped(tmp_path: Path) -> None:
-    member = sweep_jobs.enrol(tmp_path, "a", [])
+    job = sweep_jobs.register(tmp_path, "a", [])
     sweep_jobs.update(tmp_path, "a", state="running")
-    with locked(tmp_path, sweep_jobs.lock_of(member)):
+    with locked(tmp_path, sweep_jobs.lock_name(job)):
         assert states(tmp_path) == ["running"]
     assert states(tmp_path) == ["stopped"]
 
 
 def test_a_folder_that_is_no_sweep_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="holds no members.csv"):
+    with pytest.raises(UserError, match="holds no jobs.csv"):
         sweep_jobs.read(tmp_path)
     head = ",".join(sweep_jobs.Member._fields)
     for text, told in (
@@ -72,7 +72,7 @@ def test_a_folder_that_is_no_sweep_is_refused(tmp_path: Path) -> None:
         (b"\xff\xfe", "can't decode"),
     ):
         (tmp_path / sweep_jobs.FILE).write_bytes(text)
-        with pytest.raises(UserError, match=rf"members.csv: cannot be read .*{told}"):
+        with pytest.raises(UserError, match=rf"jobs.csv: cannot be read .*{told}"):
             sweep_jobs.read(tmp_path)
 
 
@@ -121,7 +121,7 @@ def test_a_failed_member_stops_no_other_and_is_tried_again(command: Command, tmp
     again = next(line for line in done.stderr.splitlines() if line.startswith("Run what is not done: "))
     done = command("train", *shlex.split(again.partition("imagination.train ")[2]))
     assert done.returncode == 1 and "Member 0:" in done.stderr and "Member 1:" not in done.stderr
-    assert [member.folder for member in sweep_jobs.read(sweep)] == ["0", "1"]
+    assert [job.folder for job in sweep_jobs.read(sweep)] == ["0", "1"]
 
 
 def test_what_only_evaluation_reads_never_trains(command: Command, tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_tensorboard_tells_apart_what_is_built(key: str, choices: dict[str, str]
 
 def swept(sweep: Path) -> list[dict[str, str]]:
     """Overrides of each member, by key."""
-    lines = [shlex.split(member.overrides) for member in sweep_jobs.read(sweep)]
+    lines = [shlex.split(job.overrides) for job in sweep_jobs.read(sweep)]
     return [{key: value for key, _, value in (text.partition("=") for text in line)} for line in lines]
 
 
@@ -181,7 +181,7 @@ def test_six_runs_differ_only_in_what_was_swept(command: Command, tmp_path: Path
     assert done.returncode == 0, done.stderr
     sweep = only(tmp_path / "outputs" / "chair_unet" / "multirun_*")
     assert states(sweep) == ["done"] * 6
-    assert all(0 <= float(member.score) <= 1 for member in sweep_jobs.read(sweep))
+    assert all(0 <= float(job.score) <= 1 for job in sweep_jobs.read(sweep))
     configs = [leaves(yaml.safe_load((sweep / str(n) / "config.yaml").read_text())) for n in range(6)]
     differing = {key for key in configs[0] if len({str(config[key]) for config in configs}) > 1}
     assert {key for key in differing if str(sweep.name) not in str(configs[0][key])} == {
@@ -232,7 +232,7 @@ def hparams_of(logdir: Path) -> list[dict[str, float]]:
 @pytest.mark.slow
 def test_a_killed_sweep_goes_on_with_what_is_not_done(command: Command, tmp_path: Path) -> None:
     """SIGKILL in the second member after its first checkpoint: it goes on from there and ends as if nothing was."""
-    job = ["-m", *JOB, "scale.rounds=6", "scale.eval_every=2", "seed=1,2,3"]
+    job = ["-m", *JOB, "scale.epochs=6", "scale.eval_every=2", "seed=1,2,3"]
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert command("train", *job, f"sweep_dir={whole}", timeout=1200).returncode == 0
     process = subprocess.Popen(
@@ -255,10 +255,10 @@ def test_a_killed_sweep_goes_on_with_what_is_not_done(command: Command, tmp_path
     assert states(broken) == ["done"] * 3
     assert (broken / "0" / "tables" / "mapping.csv").stat().st_mtime_ns == first
     for number in range(3):
-        for table in ("mapping.csv", "runs.csv", "ego.csv"):
+        for table in ("mapping.csv", "trials.csv", "ego.csv"):
             path = Path(str(number)) / "tables" / table
             assert (whole / path).read_bytes() == (broken / path).read_bytes()
-    scores = [[member.score for member in sweep_jobs.read(sweep)] for sweep in (whole, broken)]
+    scores = [[job.score for job in sweep_jobs.read(sweep)] for sweep in (whole, broken)]
     assert scores[0] == scores[1]
 
 
@@ -275,7 +275,7 @@ def test_evaluations_are_swept_without_training(command: Command, tmp_path: Path
         assert (tmp_path / kept).samefile(
             checkpoint
         ) and "latest" not in kept  # which is another run tomorrow
-    assert checkpoint.stat().st_mtime_ns == before and "training rounds" not in done.stderr
+    assert checkpoint.stat().st_mtime_ns == before and "training epochs" not in done.stderr
     tables = [(tmp_path / "cell_width" / str(n) / "tables" / "mapping.csv").read_text() for n in range(6)]
     widths = [{line.split(",")[2] for line in table.splitlines()[1:]} for table in tables]
     assert [{float(width) for width in some} for some in widths] == [{4.0}, {3.5}, {3.0}, {2.5}, {2.0}, {1.5}]
@@ -293,7 +293,7 @@ def test_members_at_once_share_the_cache(command: Command, tmp_path: Path) -> No
     assert done.returncode == 0, done.stderr
     assert states(tmp_path / "two") == ["done"] * 2
     for number in "01":
-        tables = [tmp_path / sweep / number / "tables" / "runs.csv" for sweep in ("one", "two")]
+        tables = [tmp_path / sweep / number / "tables" / "trials.csv" for sweep in ("one", "two")]
         assert tables[0].read_bytes() == tables[1].read_bytes()
     entries = [{path.name for path in (tmp_path / f"cache_{sweep}").rglob("*.*")} for sweep in ("one", "two")]
     assert entries[0] == entries[1]
@@ -317,11 +317,11 @@ def test_a_search_goes_on_where_it_was(command: Command, tmp_path: Path) -> None
     done = command("train", *job, "hydra.sweeper.n_trials=3", timeout=1200)
     assert done.returncode == 0, done.stderr
     first = sweep_jobs.read(tmp_path / "search")
-    assert [member.state for member in first] == ["done"] * 3
+    assert [job.state for job in first] == ["done"] * 3
     assert len({line["scale.learning_rate"] for line in swept(tmp_path / "search")}) == 3
     assert yaml.safe_load((tmp_path / "search" / "optimization_results.yaml").read_text())[
         "best_value"
-    ] == max(float(member.score) for member in first)
+    ] == max(float(job.score) for job in first)
     done = command("train", *job, "hydra.sweeper.n_trials=4", timeout=1200)
     assert done.returncode == 0, done.stderr
     assert sweep_jobs.read(tmp_path / "search")[:3] == first

@@ -14,7 +14,7 @@ from imagination.scenes.categories import Category, CategoryTable
 from imagination.scenes.procedural.furniture.styles import families_of
 from imagination.scenes.procedural.source import ProceduralHomes
 from imagination.scenes.scene import Scene, SceneObject
-from imagination.scenes.source import SPLITS, SceneSource, SpareHomes
+from imagination.scenes.source import SPLITS, SceneSource, SpareScenes
 from imagination.utils.errors import UserError
 
 MEMBERS = {
@@ -51,10 +51,10 @@ def vertices_of(scene: Scene, instance: int) -> np.ndarray:
     return scene.mesh.vertices[scene.mesh.faces[scene.mesh.face_instance == instance]].reshape(-1, 3)
 
 
-def in_box_frame(thing: SceneObject, points: np.ndarray) -> np.ndarray:
+def in_box_frame(obj: SceneObject, points: np.ndarray) -> np.ndarray:
     """Points relative to the box's centre, along its own axes."""
-    cos, sin = np.cos(thing.box.yaw), np.sin(thing.box.yaw)
-    relative = points - np.array(thing.box.centre)[: points.shape[1]]
+    cos, sin = np.cos(obj.box.yaw), np.sin(obj.box.yaw)
+    relative = points - np.array(obj.box.centre)[: points.shape[1]]
     turned = relative.copy()
     turned[:, 0] = cos * relative[:, 0] + sin * relative[:, 1]
     turned[:, 1] = -sin * relative[:, 0] + cos * relative[:, 1]
@@ -63,8 +63,8 @@ def in_box_frame(thing: SceneObject, points: np.ndarray) -> np.ndarray:
 
 def overlapping(one: SceneObject, other: SceneObject, hair: float = 0.004) -> bool:
     """Whether two boxes share more than `hair` metres in every direction (sampled densely, no separating axes)."""
-    tops = [thing.box.centre[2] + thing.box.size[2] / 2 for thing in (one, other)]
-    feet = [thing.box.centre[2] - thing.box.size[2] / 2 for thing in (one, other)]
+    tops = [obj.box.centre[2] + obj.box.size[2] / 2 for obj in (one, other)]
+    feet = [obj.box.centre[2] - obj.box.size[2] / 2 for obj in (one, other)]
     reach = (np.hypot(*one.box.size[:2]) + np.hypot(*other.box.size[:2])) / 2
     far = np.hypot(*(np.array(one.box.centre) - other.box.centre)[:2]) > reach
     if far or min(tops) - max(feet) < hair:
@@ -80,9 +80,9 @@ def overlapping(one: SceneObject, other: SceneObject, hair: float = 0.004) -> bo
 
 
 def overlaps(scene: Scene) -> list[tuple[SceneObject, SceneObject]]:
-    things = [thing for thing in scene.objects if thing.label != "rug"]
+    objects = [obj for obj in scene.objects if obj.label != "rug"]
     return [
-        (a, b) for n, a in enumerate(things) for b in things[:n] if overlapping(a, b) or overlapping(b, a)
+        (a, b) for n, a in enumerate(objects) for b in objects[:n] if overlapping(a, b) or overlapping(b, a)
     ]
 
 
@@ -135,22 +135,20 @@ def test_splits_share_no_model(scenes) -> None:
 
 
 def test_spare_homes_are_furnished_as_training_s_and_in_no_split() -> None:
-    assert isinstance(SOURCE, SpareHomes)
+    assert isinstance(SOURCE, SpareScenes)
     names = SOURCE.spare(2)
     assert names == ["known_0000", "known_0001"] and not set(names) & set(NAMES)
     home = load(names[0])
     families = families_of("train")
-    styled = [thing for thing in home.objects if thing.label in families]
-    assert styled and all(thing.model.partition("/")[0] in families[thing.label] for thing in styled)
+    styled = [obj for obj in home.objects if obj.label in families]
+    assert styled and all(obj.model.partition("/")[0] in families[obj.label] for obj in styled)
     assert len({SOURCE.fingerprint(name) for name in [*names, *NAMES]}) == 2 + len(NAMES)
     assert len(home.mesh.vertices) not in [len(load(name).mesh.vertices) for name in NAMES]
 
 
 def test_every_home_has_chairs_tables_and_beds(scene: Scene) -> None:
     assert all(scene.of_category(category) for category in ("chair", "table", "bed"))
-    assert not any(
-        thing.category for thing in scene.objects if thing.label in ("stool", "sofa", "nightstand")
-    )
+    assert not any(obj.category for obj in scene.objects if obj.label in ("stool", "sofa", "nightstand"))
 
 
 def test_size_of_the_mesh_and_place_of_the_home(scene: Scene) -> None:
@@ -163,7 +161,7 @@ def test_size_of_the_mesh_and_place_of_the_home(scene: Scene) -> None:
         [building[:, 2].min(), building[:, 2].max()], [0, scene.ceiling_height], atol=1e-4
     )
     assert mesh.face_material.max() < len(mesh.materials)
-    assert set(np.unique(mesh.face_instance)) == {0} | {thing.instance for thing in scene.objects}
+    assert set(np.unique(mesh.face_instance)) == {0} | {obj.instance for obj in scene.objects}
 
 
 def test_floor_area_is_within_the_promise(scene: Scene) -> None:
@@ -174,16 +172,16 @@ def test_floor_area_is_within_the_promise(scene: Scene) -> None:
 
 
 def test_boxes_fit_their_meshes_tightly(scene: Scene) -> None:
-    for thing in scene.objects:
-        points = in_box_frame(thing, vertices_of(scene, thing.instance).astype(float))
-        np.testing.assert_allclose(points.min(axis=0), -np.array(thing.box.size) / 2, atol=1e-4)
-        np.testing.assert_allclose(points.max(axis=0), np.array(thing.box.size) / 2, atol=1e-4)
+    for obj in scene.objects:
+        points = in_box_frame(obj, vertices_of(scene, obj.instance).astype(float))
+        np.testing.assert_allclose(points.min(axis=0), -np.array(obj.box.size) / 2, atol=1e-4)
+        np.testing.assert_allclose(points.max(axis=0), np.array(obj.box.size) / 2, atol=1e-4)
 
 
 def test_furniture_does_not_overlap(scene: Scene) -> None:
     """Chairs reach under tables (and so into the boxes of what stands on them); things stand upon others."""
     for one, other in overlaps(scene):
-        low = max((one, other), key=lambda thing: thing.box.centre[2] - thing.box.size[2] / 2)
+        low = max((one, other), key=lambda obj: obj.box.centre[2] - obj.box.size[2] / 2)
         tucked = {"chair", "table"} == {one.category, other.category}
         stands_upon = low.box.centre[2] - low.box.size[2] / 2 > 0.25
         assert tucked or stands_upon, (scene.name, one.label, other.label)
@@ -193,7 +191,7 @@ def test_no_chair_touches_the_table_it_is_under(scenes) -> None:
     tucked = 0
     for scene in scenes:
         for pair in overlaps(scene):
-            chair, table = sorted(pair, key=lambda thing: thing.category or "")
+            chair, table = sorted(pair, key=lambda obj: obj.category or "")
             if (chair.category, table.category) != ("chair", "table"):
                 continue
             tucked += 1

@@ -48,7 +48,7 @@ def test_cut_faces_look_the_same() -> None:
 
 @pytest.mark.slow
 def test_views_per_second() -> None:
-    """150 a second by one process, 1.8 times that by two: medians of rounds alone and together, one after the other.
+    """150 a second by one process, 1.8 times that by two: medians of epochs alone and together, one after the other.
 
     What is checked is the time on the processor, which another program on the machine leaves alone; two processes on
     two cores then make twice what each makes in a second of its own. The clock's figures are printed beside it.

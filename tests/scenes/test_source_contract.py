@@ -100,10 +100,10 @@ def test_it_is_a_source_and_workers_get_a_copy(source: SceneSource) -> None:
 
 
 def test_ids_in_images_are_those_of_objects(scene: Scene, looks: list[tuple[Pose, Image]]) -> None:
-    known = {0, *(thing.instance for thing in scene.objects)}
+    known = {0, *(obj.instance for obj in scene.objects)}
     seen = set(np.unique(np.concatenate([image.instance.ravel() for _, image in looks])).tolist()) - {-1}
     assert seen <= known and len(seen) > 1
-    assert len({thing.instance for thing in scene.objects}) == len(scene.objects)
+    assert len({obj.instance for obj in scene.objects}) == len(scene.objects)
     for _, image in looks:
         np.testing.assert_array_equal(image.instance == -1, image.depth == 0)
 
@@ -141,7 +141,7 @@ def nearest_hit(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray) 
 
 
 def test_boxes_hold_what_is_seen_of_their_objects(scene: Scene, looks: list[tuple[Pose, Image]]) -> None:
-    boxes = {thing.instance: thing.box for thing in scene.objects}
+    boxes = {obj.instance: obj.box for obj in scene.objects}
     checked = 0
     for pose, image in looks:
         points = points_of(pose, image, scene)

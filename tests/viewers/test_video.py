@@ -18,10 +18,10 @@ from tests.helpers.toy_units import Toy
 from tests.mapping.test_semantic_mapper import frames
 
 
-def play(viewer: Viewer, folder: Path, rounds: int = 1) -> SemanticMapper:
+def play(viewer: Viewer, folder: Path, epochs: int = 1) -> SemanticMapper:
     mapper = SemanticMapper(Toy())
     viewer.open(folder, mapper)
-    for _ in range(rounds):
+    for _ in range(epochs):
         for number, frame in enumerate(frames()):
             viewer.show(number * 10**8, mapper.update(*frame))
     viewer.close()
@@ -39,7 +39,7 @@ def test_a_film_as_mp4(tmp_path: Path) -> None:
 
 
 def test_a_film_as_gif_is_thinned_where_it_is_long(tmp_path: Path) -> None:
-    play(Preview("gif", most=4), tmp_path, rounds=3)
+    play(Preview("gif", most=4), tmp_path, epochs=3)
     with Image.open(tmp_path / "preview.gif") as film:
         assert 2 <= film.n_frames <= 5 and film.size == (960, 480)  # type: ignore[attr-defined]
 
@@ -47,7 +47,7 @@ def test_a_film_as_gif_is_thinned_where_it_is_long(tmp_path: Path) -> None:
 @pytest.mark.parametrize("format", ["gif", "mp4"])
 def test_a_film_is_unpacked_frame_by_frame(tmp_path: Path, format: str) -> None:
     viewer = Preview(format)
-    play(viewer, tmp_path, rounds=4)
+    play(viewer, tmp_path, epochs=4)
     tracemalloc.start()
     viewer.close()
     most = tracemalloc.get_traced_memory()[1]
@@ -120,6 +120,6 @@ def test_the_path_that_rerun_is_sent_again_and_again_is_bounded(
     )
     monkeypatch.setitem(sys.modules, "rerun", noted)
     monkeypatch.setattr(rerun, "require_extra", lambda *_: None)
-    monkeypatch.setattr(rerun, "MOST_PLACES", 6)
-    play(rerun.Rerun("map.rrd", every=1), tmp_path, rounds=5)
+    monkeypatch.setattr(rerun, "MAX_PLACES", 6)
+    play(rerun.Rerun("map.rrd", every=1), tmp_path, epochs=5)
     assert max(sent) == 6 and len(sent) == 16

@@ -16,9 +16,9 @@ import numpy as np
 
 from imagination.data.datamodule import SceneData
 from imagination.data.shards.writer import INDEX, as_read, chunk_name, describe, difference, prepare_litdata
-from imagination.utils.cache import decode, plain
+from imagination.utils.cache import as_plain, decode
 from imagination.utils.errors import UserError, check_range, first_of
-from imagination.utils.process_group import rank, ranks
+from imagination.utils.process_group import global_rank, world_size
 from imagination.views.collector import Views, concatenate
 from imagination.views.observer import Observer
 from imagination.views.random_streams import Stream
@@ -106,41 +106,43 @@ class Shards:
             self.recipe: dict[str, Any] = about["recipe"]
             self.group: int = int(self.recipe["group"])
             self.sampler: dict[str, Any] = dict(self.recipe["sampler"])
-            homes = about["homes"].items()
-            self.homes: dict[str, int] = {str(home): int(each["items"]) for home, each in homes}
-            self.fingerprints: dict[str, str] = {str(home): str(each["fingerprint"]) for home, each in homes}
+            scenes = about["scenes"].items()
+            self.scenes: dict[str, int] = {str(scene): int(each["items"]) for scene, each in scenes}
+            self.fingerprints: dict[str, str] = {
+                str(scene): str(each["fingerprint"]) for scene, each in scenes
+            }
             self.views: dict[str, Any] = about["views"]
         except UserError:
             raise
         except Exception as error:  # litdata raises whatever a damaged file makes it raise
             raise UserError(f"data.shards: {place} cannot be read ({error}); write it again") from error
-        self._first = dict(zip(self.homes, np.cumsum([1, *self.homes.values()]).tolist(), strict=False))
+        self._first = dict(zip(self.scenes, np.cumsum([1, *self.scenes.values()]).tolist(), strict=False))
 
-    def read(self, home: str, number: int) -> Views:
-        """One group of views of a home.
+    def read(self, scene: str, number: int) -> Views:
+        """One group of views of a scene.
 
         Raises:
             UserError: if it is damaged or cannot be fetched.
         """
         try:
-            return decode(bytes(self._items[self._first[home] + number]))
+            return decode(bytes(self._items[self._first[scene] + number]))
         except Exception as error:  # litdata raises anything on a chunk that is cut off
             raise UserError(
-                f"data.shards: item {number} of {home} in {self.place} cannot be read ({error}); if it is damaged, "
-                f"remove {chunk_name(home)} and write it again"
+                f"data.shards: item {number} of {scene} in {self.place} cannot be read ({error}); if it is damaged, "
+                f"remove {chunk_name(scene)} and write it again"
             ) from error
 
-    def check_room(self, homes: int) -> None:
-        """Check that so many homes can be kept at once: else chunks would be fetched anew for every collection.
+    def check_room(self, scenes: int) -> None:
+        """Check that so many scenes can be kept at once: else chunks would be fetched anew for every collection.
 
         Raises:
             UserError: if they cannot.
         """
-        needed = homes * self.largest_chunk / 1e9
+        needed = scenes * self.largest_chunk / 1e9
         if "://" in self.place and needed > self.gigabytes:
             raise UserError(
                 f"data.module.shard_gigabytes: got {self.gigabytes}, expected at least {needed:.3g} GB, the chunks of "
-                f"the {homes} homes that are looked into at once; or take fewer, scale.parallel_scenes"
+                f"the {scenes} scenes that are looked into at once; or take fewer, scale.parallel_scenes"
             )
 
     def check(self, observer: Observer) -> None:
@@ -155,15 +157,17 @@ class Shards:
                 "settings they were written with"
             )
 
-    def check_homes(self, observer: Observer, homes: Sequence[str]) -> None:
-        """Check that homes are those that the config's scene source has under these names.
+    def check_scenes(self, observer: Observer, scenes: Sequence[str]) -> None:
+        """Check that scenes are those that the config's scene source has under these names.
 
         Raises:
             UserError: with those that differ.
         """
-        if others := [home for home in homes if self.fingerprints[home] != observer.source.fingerprint(home)]:
+        if others := [
+            scene for scene in scenes if self.fingerprints[scene] != observer.source.fingerprint(scene)
+        ]:
             raise UserError(
-                f"data.shards: {self.place} was written of other homes than the config's of these names: "
+                f"data.shards: {self.place} was written of other scenes than the config's of these names: "
                 f"{first_of(others)}; choose the scene source and furniture it was written of"
             )
 
@@ -171,14 +175,14 @@ class Shards:
 class ShardCollector:
     """Collections of training views out of shards, in place of rendering them; see `Collector`.
 
-    So many homes as are looked at in parallel are open at once, and read through before the next: a chunk is fetched
+    So many scenes as are looked at in parallel are open at once, and read through before the next: a chunk is fetched
     once a lap. Which views a collection gets depends on the seed and its number alone.
 
     Args:
         shards: to read from.
-        homes: this process's own.
+        scenes: this process's own.
         seed: of the run.
-        parallel_scenes: homes in one collection.
+        parallel_scenes: scenes in one collection.
         steps: views of each of them.
 
     Raises:
@@ -186,18 +190,18 @@ class ShardCollector:
     """
 
     def __init__(
-        self, shards: Shards, homes: Sequence[str], seed: int, parallel_scenes: int, steps: int
+        self, shards: Shards, scenes: Sequence[str], seed: int, parallel_scenes: int, steps: int
     ) -> None:
-        self.shards, self.homes, self.seed = shards, list(homes), seed
+        self.shards, self.scenes, self.seed = shards, list(scenes), seed
         self.parallel_scenes, self.steps = parallel_scenes, steps
-        items = min((shards.homes[home] for home in homes), default=0)
+        items = min((shards.scenes[scene] for scene in scenes), default=0)
         if not items or steps % shards.group or steps // shards.group > items:
             raise UserError(
-                f"data.shards: got {len(self.homes)} homes of {items} x {shards.group} views, expected at least one "
-                f"home and collections of scale.update_interval = {steps} views of each; write them with that interval"
+                f"data.shards: got {len(self.scenes)} scenes of {items} x {shards.group} views, expected at least one "
+                f"scene and collections of scale.update_interval = {steps} views of each; write them with that interval"
             )
         self._items_each = steps // shards.group
-        self._collections = items // self._items_each  # out of the same homes
+        self._collections = items // self._items_each  # out of the same scenes
         self._reader = ThreadPoolExecutor(1)
 
     @property
@@ -212,11 +216,11 @@ class ShardCollector:
         window, turn = divmod(index, self._collections)
         parts = []
         for slot in range(self.parallel_scenes):
-            lap, place = divmod(window * self.parallel_scenes + slot, len(self.homes))
-            home = self.homes[self._shuffled(len(self.homes), lap)[place]]
-            order = self._shuffled(self.shards.homes[home], lap, crc32(home.encode()))
+            lap, place = divmod(window * self.parallel_scenes + slot, len(self.scenes))
+            scene = self.scenes[self._shuffled(len(self.scenes), lap)[place]]
+            order = self._shuffled(self.shards.scenes[scene], lap, crc32(scene.encode()))
             chosen = order[turn * self._items_each : (turn + 1) * self._items_each]
-            parts += [self.shards.read(home, number) for number in chosen]
+            parts += [self.shards.read(scene, number) for number in chosen]
         return concatenate(parts)
 
     def _shuffled(self, count: int, *seed: int) -> list[int]:
@@ -254,22 +258,24 @@ class ShardData(SceneData):
             shards.check(self.observer)
             self._homes = self._training_homes(shards)
             self._recipe = shards.recipe
-            shards.check_homes(self.observer, self._homes)
-            own = as_read(plain(self.sampler))
+            shards.check_scenes(self.observer, self._homes)
+            own = as_read(as_plain(self.sampler))
             if different := difference(shards.sampler, own):
                 log.warning("data.shards: poses in %s were drawn with %s", shards.place, different)
-            share = self.parallel_scenes // ranks()
+            share = self.parallel_scenes // world_size()
             shards.check_room(min(self.parallel_scenes, len(self._homes)))
-            self._collector = ShardCollector(shards, self._homes[rank() :: ranks()], self.seed, share, steps)
+            self._collector = ShardCollector(
+                shards, self._homes[global_rank() :: world_size()], self.seed, share, steps
+            )
         return self._collector
 
     def state_dict(self) -> dict[str, Any]:
-        """The homes that this run trains on, and how they were looked at: a corpus may grow or move."""
-        homes = {home: self.observer.source.fingerprint(home) for home in self._homes}
-        return {"homes": homes, "recipe": self._recipe}
+        """The scenes that this run trains on, and how they were looked at: a corpus may grow or move."""
+        scenes = {scene: self.observer.source.fingerprint(scene) for scene in self._homes}
+        return {"scenes": scenes, "recipe": self._recipe}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self._homes, self._recipe = list(state_dict["homes"]), state_dict["recipe"]
+        self._homes, self._recipe = list(state_dict["scenes"]), state_dict["recipe"]
 
     def _training_homes(self, shards: Shards) -> list[str]:
         """Those of the training split that the corpus holds; of a run that goes on, those that it began with.
@@ -283,21 +289,21 @@ class ShardData(SceneData):
                     f"data.shards: the views in {shards.place} were drawn with {shards.recipe}, expected "
                     f"{self._recipe}, which this run began with; go on with that corpus, or start a new run"
                 )
-            if lost := [home for home in self._homes if home not in shards.homes]:
+            if lost := [scene for scene in self._homes if scene not in shards.scenes]:
                 raise UserError(
                     f"data.shards: {shards.place} does not hold {first_of(lost)} any more, which this run began "
                     "with; write them again, or start a new run"
                 )
             return self._homes
         asked = self.observer.source.scenes("train")
-        homes = [home for home in asked if home in shards.homes]
-        if not homes:
+        scenes = [scene for scene in asked if scene in shards.scenes]
+        if not scenes:
             raise UserError(
-                f"data.shards: {shards.place} holds {first_of(list(shards.homes))}, expected homes of the "
+                f"data.shards: {shards.place} holds {first_of(list(shards.scenes))}, expected scenes of the "
                 f"training split: {first_of(asked)}; choose the scene source it was written with"
             )
-        if missing := len(asked) - len(homes):
-            log.warning("data.shards: %d of the %d homes of training are not in it", missing, len(asked))
-        if others := len(shards.homes) - len(homes):
-            log.warning("data.shards: %d homes in it are not of this training and left out", others)
-        return homes
+        if missing := len(asked) - len(scenes):
+            log.warning("data.shards: %d of the %d scenes of training are not in it", missing, len(asked))
+        if others := len(shards.scenes) - len(scenes):
+            log.warning("data.shards: %d scenes in it are not of this training and left out", others)
+        return scenes

@@ -1,7 +1,7 @@
-"""A corpus of views as litdata shards, written home by home.
+"""A corpus of views as litdata shards, written scene by scene.
 
-An item is a group of views of one home, encoded as in the cache; a home's items make one chunk. Item 0 describes the
-corpus: what its views depend on, and how many items each home has. Homes are written whole or not at all, each with a
+An item is a group of views of one scene, encoded as in the cache; a scene's items make one chunk. Item 0 describes the
+corpus: what its views depend on, and how many items each scene has. Scenes are written whole or not at all, each with a
 record beside its chunk, so that any number of jobs may write to one folder and go on where another stopped.
 """
 
@@ -23,7 +23,7 @@ from typing import IO, Any, NamedTuple
 from zlib import crc32
 
 from imagination.utils.atomic_io import remove_parts, replacing, write_text
-from imagination.utils.cache import code_version, encode, plain
+from imagination.utils.cache import as_plain, code_version, encode
 from imagination.utils.errors import (
     CannotWriteError,
     UserError,
@@ -45,21 +45,21 @@ INDEX = "index.json"
 ABOUT = "chunk-about.bin"
 """The chunk with the description alone."""
 
-MOST_BYTES = 2**32 - 2**20
+MAX_BYTES = 2**32 - 2**20
 """In a chunk: litdata's offsets in it are of 32 bits."""
 
 LOCK, WORK = ".index.lock", ".work.lock"
-"""Held by the job that writes the index, and shared by all that write homes."""
+"""Held by the job that writes the index, and shared by all that write scenes."""
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """What is written of each home.
+class ShardSpec:
+    """What is written of each scene.
 
     Attributes:
         sampler: draws poses.
         seed: of poses and sensor noise.
-        views: of each home.
+        views: of each scene.
         group: views in an item.
     """
 
@@ -69,25 +69,25 @@ class Recipe:
     group: int
 
     def __post_init__(self) -> None:
-        check_range("views", self.views, 1, 10_000_000, "views of each home")
+        check_range("views", self.views, 1, 10_000_000, "views of each scene")
         if self.views % self.group:
             raise UserError(
-                f"views: got {self.views} of each home, expected a multiple of scale.update_interval = {self.group}"
+                f"views: got {self.views} of each scene, expected a multiple of scale.update_interval = {self.group}"
             )
 
     def made_with(self, observer: Observer) -> dict[str, Any]:
-        """What the views of all homes of a corpus have in common."""
+        """What the views of all scenes of a corpus have in common."""
         program = {"program": code_version()[:12]}  # which renders and projects
-        return as_read({**describe(observer), **plain(self), **program})
+        return as_read({**describe(observer), **as_plain(self), **program})
 
 
 class Record(NamedTuple):
-    """What is known of a written home.
+    """What is known of a written scene.
 
     Attributes:
         scene: its name.
         fingerprint: of the scene.
-        made_with: what else its views depend on, in common with those of the other homes.
+        made_with: what else its views depend on, in common with those of the other scenes.
         items: groups of views.
         chunk: what litdata's index says of it.
     """
@@ -99,11 +99,11 @@ class Record(NamedTuple):
     chunk: dict[str, Any]
 
 
-def read_records(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, Record]:
-    """Records of the homes that are written, by home; one that cannot be read is told and counts as none.
+def read_records(folder: Path, observer: Observer, recipe: ShardSpec) -> dict[str, Record]:
+    """Records of the scenes that are written, by scene; one that cannot be read is told and counts as none.
 
     Raises:
-        UserError: if a home was made with other settings: one description holds for the whole corpus.
+        UserError: if a scene was made with other settings: one description holds for the whole corpus.
     """
     asked, records = recipe.made_with(observer), {}
     for path in sorted(folder.glob("*.record.json")):
@@ -111,7 +111,7 @@ def read_records(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, 
             record = _checked(Record(**json.loads(path.read_text())))
             written = (folder / chunk_name(record.scene)).is_file()
         except (OSError, ValueError, TypeError, RecursionError) as error:
-            log.warning("shards: %s cannot be read (%s); its home counts as not written", path, error)
+            log.warning("shards: %s cannot be read (%s); its scene counts as not written", path, error)
             continue
         if different := difference(record.made_with, asked):
             raise UserError(
@@ -131,20 +131,22 @@ def _checked(record: Record) -> Record:
     return record
 
 
-def unwritten(folder: Path, observer: Observer, homes: Sequence[str], recipe: Recipe) -> list[str]:
-    """Those of the homes that are not there yet.
+def unwritten(folder: Path, observer: Observer, scenes: Sequence[str], recipe: ShardSpec) -> list[str]:
+    """Those of the scenes that are not there yet.
 
     Raises:
-        UserError: if the folder holds homes that were made with other settings, or other homes of these names.
+        UserError: if the folder holds scenes that were made with other settings, or other scenes of these names.
     """
     records = read_records(folder, observer, recipe)
-    written = [home for home in homes if home in records]
-    if others := [home for home in written if records[home].fingerprint != observer.source.fingerprint(home)]:
+    written = [scene for scene in scenes if scene in records]
+    if others := [
+        scene for scene in written if records[scene].fingerprint != observer.source.fingerprint(scene)
+    ]:
         raise UserError(
-            f"shards: got other homes than {folder} holds under the same names ({first_of(others)}); write to another "
+            f"shards: got other scenes than {folder} holds under the same names ({first_of(others)}); write to another "
             f"folder, take the scene source as it was, or remove {_record(folder, others[0]).name} to write that anew"
         )
-    return [home for home in homes if home not in records]
+    return [scene for scene in scenes if scene not in records]
 
 
 @contextmanager
@@ -165,27 +167,27 @@ def _tidy(folder: Path, lock: IO[str]) -> None:
         remove_parts(folder)
 
 
-def write_homes(
-    observer: Observer, homes: Sequence[str], folder: Path, recipe: Recipe, workers: int
+def write_scenes(
+    observer: Observer, scenes: Sequence[str], folder: Path, recipe: ShardSpec, workers: int
 ) -> Generator[tuple[str, str], None, None]:
-    """Write homes, one at a time in each worker; gives each with what went wrong, or an empty string.
+    """Write scenes, one at a time in each worker; gives each with what went wrong, or an empty string.
 
-    A home whose worker is killed, as when it takes too much memory, has failed; a new worker goes on with the others.
+    A scene whose worker is killed, as when it takes too much memory, has failed; a new worker goes on with the others.
 
     Raises:
         UserError: if the number of workers is out of range, or nothing can be written.
     """
     check_range("scale.workers", workers, 0, 1024)
-    waiting = list(reversed(homes))
+    waiting = list(reversed(scenes))
     idle = [ScenePool(observer, min(workers, 1)) for _ in range(max(workers, 1))]
     running: dict[Future[str], tuple[str, ScenePool]] = {}
     try:
         while waiting or running:
             while waiting and idle:
-                home, pool = waiting.pop(), idle.pop()
-                running[pool.submit(try_home, home, folder, recipe)] = home, pool
+                scene, pool = waiting.pop(), idle.pop()
+                running[pool.submit(try_scene, scene, folder, recipe)] = scene, pool
             for task in wait(running, return_when=FIRST_COMPLETED).done:
-                home, pool = running.pop(task)
+                scene, pool = running.pop(task)
                 try:
                     problem = task.result()
                 except WorkerDiedError:
@@ -196,14 +198,14 @@ def write_homes(
                     pool.close()
                     raise
                 idle.append(pool)
-                yield home, problem
+                yield scene, problem
     finally:
         for pool in [*idle, *(pool for _, pool in running.values())]:
             pool.close()
 
 
-def write_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> None:
-    """Render a home's views and write its chunk, then its record; runs in a worker process."""
+def write_scene(observer: Observer, scene: str, folder: Path, recipe: ShardSpec) -> None:
+    """Render a scene's views and write its chunk, then its record; runs in a worker process."""
     seed = (recipe.seed, Stream.SHARDS, crc32(scene.encode()))
     items, groups, written = [], recipe.views // recipe.group, 0
     try:
@@ -211,49 +213,49 @@ def write_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> 
             items.append(encode(look(observer, scene, recipe.sampler, (*seed, group), recipe.group)))
             written += len(items[-1])
             size = written * groups / len(items)
-            if size > MOST_BYTES:  # told after the first group, not after the last
+            if size > MAX_BYTES:  # told after the first group, not after the last
                 raise UserError(
-                    f"views: got {recipe.views} of each home, about {size / 1e9:.1f} GB, expected at most "
-                    f"{MOST_BYTES / 1e9:.1f} GB, as much as a chunk can hold; write fewer of more homes"
+                    f"views: got {recipe.views} of each scene, about {size / 1e9:.1f} GB, expected at most "
+                    f"{MAX_BYTES / 1e9:.1f} GB, as much as a chunk can hold; write fewer of more scenes"
                 )
     finally:
-        observer.forget(scene)  # else a worker would hold every home of the corpus in the end
+        observer.forget(scene)  # else a worker would hold every scene of the corpus in the end
     chunk = _write_chunk(folder / chunk_name(scene), items)
     fingerprint = observer.source.fingerprint(scene)
     record = Record(scene, fingerprint, recipe.made_with(observer), len(items), chunk)
     write_text(_record(folder, scene), json.dumps(record._asdict()))
 
 
-def try_home(observer: Observer, scene: str, folder: Path, recipe: Recipe) -> str:
-    """Write a home; what went wrong, or an empty string.
+def try_scene(observer: Observer, scene: str, folder: Path, recipe: ShardSpec) -> str:
+    """Write a scene; what went wrong, or an empty string.
 
     Raises:
-        UserError: if nothing can be written: the homes after it would be rendered in vain.
+        UserError: if nothing can be written: the scenes after it would be rendered in vain.
     """
     try:
-        write_home(observer, scene, folder, recipe)
+        write_scene(observer, scene, folder, recipe)
     except CannotWriteError:
         raise
-    except Exception as error:  # of any scene source: the other homes do not wait for it
+    except Exception as error:  # of any scene source: the other scenes do not wait for it
         return f"{type(error).__name__}: {error}"
     return ""
 
 
-def write_index(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, Any]:
+def write_index(folder: Path, observer: Observer, recipe: ShardSpec) -> dict[str, Any]:
     """List everything written so far, for readers; returns the description.
 
     Raises:
-        UserError: if nothing was written, or the folder holds homes that were made with other settings.
+        UserError: if nothing was written, or the folder holds scenes that were made with other settings.
     """
     with open(folder / LOCK, "a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)  # else a job that listed fewer homes might write its list last
+        fcntl.flock(file, fcntl.LOCK_EX)  # else a job that listed fewer scenes might write its list last
         records = read_records(folder, observer, recipe)
         if not records:
-            raise UserError(f"shards: no home was written to {folder}; see the messages above")
-        homes = {
-            home: {"items": each.items, "fingerprint": each.fingerprint} for home, each in records.items()
+            raise UserError(f"shards: no scene was written to {folder}; see the messages above")
+        scenes = {
+            scene: {"items": each.items, "fingerprint": each.fingerprint} for scene, each in records.items()
         }
-        about = {"views": describe(observer), "recipe": plain(recipe), "homes": homes}
+        about = {"views": describe(observer), "recipe": as_plain(recipe), "scenes": scenes}
         first = _write_chunk(folder / ABOUT, [json.dumps(about).encode()])
         chunks = [first["entry"], *(record.chunk["entry"] for record in records.values())]
         # by this time alone litdata knows that what it keeps of a URL is out of date
@@ -263,10 +265,10 @@ def write_index(folder: Path, observer: Observer, recipe: Recipe) -> dict[str, A
 
 
 def describe(observer: Observer) -> dict[str, Any]:
-    """What the views of any home depend on, apart from the home."""
-    parts = ("camera", "sensor", "ego", "obstacles", "truth_spec")
-    table = {row.name: plain(row.members) for row in observer.categories}
-    return {**{part: plain(getattr(observer, part)) for part in parts}, "categories": table}
+    """What the views of any scene depend on, apart from the scene."""
+    parts = ("camera", "sensor", "ego", "obstacles", "ground_truth_spec")
+    table = {row.name: as_plain(row.aliases) for row in observer.categories}
+    return {**{part: as_plain(getattr(observer, part)) for part in parts}, "categories": table}
 
 
 def as_read(description: dict[str, Any]) -> dict[str, Any]:
@@ -295,13 +297,13 @@ def prepare_litdata() -> None:
 
 
 def _stem(scene: str) -> str:
-    """Name of a home's files: the home's own, unless it is a path or has characters that an index may not hold."""
+    """Name of a scene's files: the scene's own, unless it is a path or has characters that an index may not hold."""
     allowed = re.sub(r"[^\w.+-]", "_", scene)
     return scene if allowed == scene else f"{allowed}-{crc32(scene.encode()):08x}"
 
 
 def chunk_name(scene: str) -> str:
-    """Of a home's chunk."""
+    """Of a scene's chunk."""
     return f"chunk-{_stem(scene)}.bin"
 
 

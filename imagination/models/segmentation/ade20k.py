@@ -3,7 +3,7 @@
 The layout is that of github.com/CSAILVision/semantic-segmentation-pytorch, ade20k-hrnetv2-c1: one folder with
 encoder_*.pth and decoder_*.pth, state dicts of HRNetV2-W48 and of its `c1` decoder for the 150 classes of the MIT Scene
 Parsing Benchmark (Zhou et al. 2017, Scene Parsing through ADE20K Dataset). Which of these belong to which category
-stands in the category table, `members.ade20k` (conf/categories).
+stands in the category table, `aliases.ade20k` (conf/categories).
 """
 
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ class PublicHRNet(nn.Module):
     Args:
         table: tells which classes belong to which category.
         camera: that takes the images.
-        mirrored_answers: answer with the mean of what is said of an image and of it in a mirror, as units do.
+        tta_hflip: answer with the mean of what is said of an image and of it in a mirror, as units do.
 
     Raises:
         UserError: if a category claims a class that does not exist, or none claims any.
@@ -60,17 +60,17 @@ class PublicHRNet(nn.Module):
 
     place: Tensor
 
-    def __init__(self, table: CategoryTable, camera: Camera, mirrored_answers: bool = False) -> None:
+    def __init__(self, table: CategoryTable, camera: Camera, tta_hflip: bool = False) -> None:
         super().__init__()
-        self.mirrored_answers = mirrored_answers
-        self.categories = [row.name for row in table if row.members.get(SOURCE)]
+        self.tta_hflip = tta_hflip
+        self.categories = [row.name for row in table if row.aliases.get(SOURCE)]
         if not self.categories:
             raise UserError(
-                f"categories: no row lists members.{SOURCE}, expected the classes that belong to it"
+                f"categories: no row lists aliases.{SOURCE}, expected the classes that belong to it"
             )
         place = torch.zeros(len(CLASSES), dtype=torch.uint8)
         for number, name in enumerate(self.categories):
-            for label in table.rows[table.index(name) - 1].members[SOURCE]:
+            for label in table.rows[table.index(name) - 1].aliases[SOURCE]:
                 if label not in CLASSES:
                     raise UserError(
                         f"categories: {name} claims {label!r} of {SOURCE}, expected classes among: "
@@ -83,14 +83,14 @@ class PublicHRNet(nn.Module):
 
     @classmethod
     def load(
-        cls, folder: Path, table: CategoryTable, camera: Camera, mirrored_answers: bool = False
+        cls, folder: Path, table: CategoryTable, camera: Camera, tta_hflip: bool = False
     ) -> "PublicHRNet":
         """The network with the weights in a folder, in evaluation mode on the CPU.
 
         Raises:
             UserError: if files are missing or damaged, or are weights of another architecture.
         """
-        made = cls(table, camera, mirrored_answers)
+        made = cls(table, camera, tta_hflip)
         encoder, decoder = (read(folder, part) for part in ("encoder", "decoder"))
         fill(made.network, renamed(encoder, decoder), folder)
         return made.eval()
@@ -105,7 +105,7 @@ class PublicHRNet(nn.Module):
         """
         rgb = rgb.to(self.place.device)
         logits = self.network(rgb)
-        if self.mirrored_answers:
+        if self.tta_hflip:
             logits = (logits + self.network(rgb.flip(-1)).flip(-1)) / 2
         probabilities = at_size(logits, rows, columns).softmax(dim=1)
         other = probabilities[:, self.place == 0].amax(dim=1, keepdim=True)

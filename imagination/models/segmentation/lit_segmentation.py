@@ -19,7 +19,7 @@ Batch = Mapping[str, Tensor]
 it is a part of a batch of so many."""
 
 
-class SegmentationTraining(LightningModule):
+class LitSegmentation(LightningModule):
     """Trains a network with cross-entropy and scores its images by IoU.
 
     Args:
@@ -27,7 +27,7 @@ class SegmentationTraining(LightningModule):
         categories: told apart.
         optimizer: makes the optimiser, given parameters.
         scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
-        mirrored_answers: outside training, answer with the mean of what is said of an image and of it in a mirror, as
+        tta_hflip: outside training, answer with the mean of what is said of an image and of it in a mirror, as
             units do.
     """
 
@@ -37,13 +37,13 @@ class SegmentationTraining(LightningModule):
         categories: Sequence[str],
         optimizer: Callable[..., Optimizer],
         scheduler: Callable[..., LRScheduler],
-        mirrored_answers: bool = False,
+        tta_hflip: bool = False,
     ) -> None:
         super().__init__()
         self.categories = list(categories)
         self.optimizer = optimizer
         self.scheduler = scheduler
-        self.mirrored_answers = mirrored_answers
+        self.tta_hflip = tta_hflip
         classes = 1 + len(self.categories)
         self.network = network(classes=classes)
         self.val_scores = MulticlassConfusionMatrix(classes)
@@ -63,7 +63,7 @@ class SegmentationTraining(LightningModule):
     def forward(self, rgb: UInt8[Tensor, "b 3 h w"]) -> Float[Tensor, "b k p q"]:
         """Logits of the classes, at the network's own size."""
         logits: Tensor = self.network(rgb)
-        if self.training or not self.mirrored_answers:
+        if self.training or not self.tta_hflip:
             return logits
         mirrored: Tensor = self.network(rgb.flip(-1))
         return (logits + mirrored.flip(-1)) / 2

@@ -8,7 +8,7 @@ from imagination.reporting import style
 from imagination.reporting.figures.scores import CELL_COLOURS, CELLS, _legend_below
 
 Curve = tuple[Sequence[float], Sequence[float]]
-"""Steps or rounds, and values."""
+"""Steps or epochs, and values."""
 
 
 def draw_curves(curves: Mapping[str, Curve], title: str, across: str, up: str) -> Figure:

@@ -31,7 +31,7 @@ INCH, DPI = 3.2, 110
 """Side of one map in a figure, and pixels an inch."""
 
 
-def truth_image(example: Example) -> UInt8[np.ndarray, "h w 3"]:
+def gt_image(example: Example) -> UInt8[np.ndarray, "h w 3"]:
     """The truth, over everything occupied."""
     image = _background(example)
     image[example.truth] = TRUTH
@@ -50,7 +50,7 @@ def agreement_image(example: Example, predicted: Bool[np.ndarray, "h w"]) -> UIn
 def side_by_side(example: Example) -> UInt8[np.ndarray, "h w 3"]:
     """Truth and the map of each approach in one image, for TensorBoard."""
     window = _home_window(example)
-    images = [truth_image(example), *(agreement_image(example, map_) for map_ in example.predicted.values())]
+    images = [gt_image(example), *(agreement_image(example, map_) for map_ in example.predicted.values())]
     framed = [np.pad(image[window], ((2, 2), (2, 2), (0, 0)), constant_values=120) for image in images]
     return np.concatenate(framed, axis=1)
 
@@ -64,9 +64,11 @@ def draw_maps(examples: Sequence[Example]) -> Figure:
     figure = Figure(figsize=(INCH * (1 + len(names)), sum(heights) + 0.4), layout="constrained")
     axes = figure.subplots(len(examples), 1 + len(names), squeeze=False, height_ratios=heights)
     for row, example, window in zip(axes, examples, windows, strict=True):
-        row[0].imshow(truth_image(example)[window])
+        row[0].imshow(gt_image(example)[window])
         row[0].set_title("Truth and viewpoints")
-        row[0].set_ylabel(f"{example.category}, {example.run.home}\ncell width {example.run.cell_width:g} m")
+        row[0].set_ylabel(
+            f"{example.category}, {example.trial.scene}\ncell width {example.trial.cell_width:g} m"
+        )
         draw_poses(row[0], example.poses, example.grid, window)
         draw_scale_bar(row[0], example.grid.resolution)
         for axis, (name, predicted) in zip(row[1:], example.predicted.items(), strict=True):
@@ -135,13 +137,13 @@ def _background(example: Example) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _home_window(example: Example) -> tuple[slice, slice]:
-    return home_window(example.occupied, example.grid, example.poses)
+    return scene_window(example.occupied, example.grid, example.poses)
 
 
-def home_window(
+def scene_window(
     occupied: Bool[np.ndarray, "h w"], grid: Grid, poses: Float64[np.ndarray, "n 3"]
 ) -> tuple[slice, slice]:
-    """The cells of the home itself: what is occupied in it, and its viewpoints."""
+    """The cells of the scene itself: what is occupied in it, and its viewpoints."""
     cells = np.concatenate([np.argwhere(occupied), grid.to_cells(poses[:, :2])])
     if not len(cells):
         return slice(0, grid.rows), slice(0, grid.columns)
@@ -154,12 +156,12 @@ def typical(maps: Sequence[SavedMaps], category: str, cell_width: float) -> Save
     """Of the runs with a cell width, the one of median IoU by the ranking approach; None without one."""
     ranked = []
     for saved in maps:
-        if saved.run.cell_width == cell_width and category in saved.categories:
+        if saved.trial.cell_width == cell_width and category in saved.categories:
             layer = saved.categories.index(category)
             if saved.present[layer]:
                 place = saved.approaches.index(ranked_by(saved.approaches))
                 pixels = count(saved.predicted[place, layer], saved.truth[layer])
-                ranked.append((float(iou(pixels)), saved.run, saved))
+                ranked.append((float(iou(pixels)), saved.trial, saved))
     ranked.sort(key=lambda entry: entry[:2])
     return ranked[len(ranked) // 2][2] if ranked else None
 
@@ -171,24 +173,24 @@ def draw_typical(maps: Sequence[SavedMaps], category: str, cell_widths: Sequence
 
 
 def draw_viewpoints(maps: Sequence[SavedMaps]) -> Figure:
-    """Two viewpoint sets of the widest cell width and one of the narrowest, on the map of the home with most."""
-    home = max(maps, key=lambda saved: len(saved.poses)).run.home
+    """Two viewpoint sets of the widest cell width and one of the narrowest, on the map of the scene with most."""
+    scene = max(maps, key=lambda saved: len(saved.poses)).trial.scene
     by_width: dict[float, list[SavedMaps]] = {}
-    for saved in sorted((one for one in maps if one.run.home == home), key=lambda one: one.run.number):
-        by_width.setdefault(saved.run.cell_width, []).append(saved)
+    for saved in sorted((one for one in maps if one.trial.scene == scene), key=lambda one: one.trial.number):
+        by_width.setdefault(saved.trial.cell_width, []).append(saved)
     shown = by_width[max(by_width)][:2] + (by_width[min(by_width)][:1] if len(by_width) > 1 else [])
     figure = Figure(figsize=(3.2 * len(shown), 3.4), layout="constrained")
     axes = figure.subplots(1, len(shown), squeeze=False)[0]
     for axis, saved in zip(axes, shown, strict=True):
         image = np.full((*saved.occupied.shape, 3), EMPTY, np.uint8)
         image[saved.occupied] = OCCUPIED
-        window = home_window(saved.occupied, saved.grid, saved.poses)
+        window = scene_window(saved.occupied, saved.grid, saved.poses)
         axis.imshow(image[window])
         draw_poses(axis, saved.poses, saved.grid, window)
         draw_scale_bar(axis, saved.grid.resolution)
         points = len(np.unique(saved.poses[:, :2], axis=0))
         axis.set_title(
-            f"{home}, cell width {saved.run.cell_width:g} m, set {saved.run.number}\n"
+            f"{scene}, cell width {saved.trial.cell_width:g} m, set {saved.trial.number}\n"
             f"viewpoints: {points}, views: {len(saved.poses)}"
         )
         bare(axis)

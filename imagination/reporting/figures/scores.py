@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from imagination.evaluation.metrics import iou
 from imagination.evaluation.records import Key
 from imagination.reporting import style
-from imagination.reporting.load_run import Runs, Tally
+from imagination.reporting.load_run import ConfusionCounts, Runs
 from imagination.utils.tabular import Row
 
 
@@ -110,21 +110,25 @@ def draw_distribution(counts: Mapping[Key, Runs], category: str, measure: str) -
     return figure
 
 
-def precision_recall(tally: Tally) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+def precision_recall(
+    confusion_counts: ConfusionCounts,
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
     """Precision and recall at each threshold at which anything is predicted."""
-    predicted = tally[:, 0] + tally[:, 1]
+    predicted = confusion_counts[:, 0] + confusion_counts[:, 1]
     some = predicted > 0
-    correct = tally[some, 0]
-    return correct / predicted[some], correct / np.maximum(tally[some, 2], 1)
+    correct = confusion_counts[some, 0]
+    return correct / predicted[some], correct / np.maximum(confusion_counts[some, 2], 1)
 
 
-def draw_precision_recall(tallies: Mapping[str, Tally], chosen: Mapping[str, float], title: str) -> Figure:
+def draw_precision_recall(
+    tallies: Mapping[str, ConfusionCounts], chosen: Mapping[str, float], title: str
+) -> Figure:
     """Precision over recall of each approach, all thresholds; a ring at the one that was chosen."""
     colours = style.colours(list(tallies))
     figure = Figure(figsize=(4.4, 3.9), layout="constrained")
     axis = figure.subplots()
-    for name, tally in tallies.items():
-        precision, recall = precision_recall(tally)
+    for name, confusion_counts in tallies.items():
+        precision, recall = precision_recall(confusion_counts)
         single = len(np.unique(recall)) == 1
         axis.plot(
             recall,
@@ -136,22 +140,24 @@ def draw_precision_recall(tallies: Mapping[str, Tally], chosen: Mapping[str, flo
         )
         if name in chosen:
             at = round(chosen[name] * 100) - 1
-            precision, recall = precision_recall(tally[at : at + 1])
+            precision, recall = precision_recall(confusion_counts[at : at + 1])
             axis.plot(recall, precision, "o", color=colours[name], markerfacecolor="none", markersize=9)
     _unit_square(axis, "recall", "precision", title)
     _legend_below(figure, *axis.get_legend_handles_labels())
     return figure
 
 
-def reliability(tally: Tally) -> tuple[Float64[np.ndarray, " b"], Float64[np.ndarray, " b"]]:
+def reliability(
+    confusion_counts: ConfusionCounts,
+) -> tuple[Float64[np.ndarray, " b"], Float64[np.ndarray, " b"]]:
     """Of each tenth of the scores that holds any cell: the mean score, and the share of its cells that are truth."""
     steps = np.append(
-        tally[:-1, :2] - tally[1:, :2], tally[-1:, :2], axis=0
+        confusion_counts[:-1, :2] - confusion_counts[1:, :2], confusion_counts[-1:, :2], axis=0
     )  # from each threshold to the next
-    scores = (np.arange(len(tally)) + 1.5) / 100
+    scores = (np.arange(len(confusion_counts)) + 1.5) / 100
     found = []
-    for low in range(0, len(tally) + 1, (len(tally) + 1) // BINS):
-        part = slice(max(low - 1, 0), low + (len(tally) + 1) // BINS - 1)
+    for low in range(0, len(confusion_counts) + 1, (len(confusion_counts) + 1) // BINS):
+        part = slice(max(low - 1, 0), low + (len(confusion_counts) + 1) // BINS - 1)
         cells = steps[part].sum(axis=1)
         if cells.sum():
             found.append((scores[part] @ cells / cells.sum(), steps[part, 0].sum() / cells.sum()))
@@ -159,7 +165,7 @@ def reliability(tally: Tally) -> tuple[Float64[np.ndarray, " b"], Float64[np.nda
     return means, shares
 
 
-def draw_reliability(tallies: Mapping[str, Tally], title: str) -> Figure:
+def draw_reliability(tallies: Mapping[str, ConfusionCounts], title: str) -> Figure:
     """How often cells with a score are truth: on the diagonal, scores are probabilities.
 
     Args:
@@ -171,8 +177,8 @@ def draw_reliability(tallies: Mapping[str, Tally], title: str) -> Figure:
     figure = Figure(figsize=(4.4, 3.9), layout="constrained")
     axis = figure.subplots()
     axis.plot([0, 1], [0, 1], "--", color=mpl.rcParams["axes.edgecolor"], linewidth=1)
-    for name, tally in tallies.items():
-        means, shares = reliability(tally)
+    for name, confusion_counts in tallies.items():
+        means, shares = reliability(confusion_counts)
         text = CELLS[name] if named else style.label(name)
         axis.plot(means, shares, "o-", color=colours[name], label=text, markersize=4)
     _unit_square(

@@ -36,7 +36,7 @@ def draw_singles(views: Sequence[SingleView], resolution: float) -> Figure:
         axis.set_title(title)
     for row, view in zip(axes, views, strict=True):
         row[0].imshow(view.rgb)
-        row[0].set_ylabel(f"{view.rank}: {view.category}, {view.home}")
+        row[0].set_ylabel(f"{view.rank}: {view.category}, {view.scene}")
         label = _background(view)
         label[view.label] = TRUTH
         row[1].imshow(label)

@@ -50,23 +50,23 @@ def build_home(
         plan = draw_plan(rng)
         stock = Stock(furniture_source, split, rng)
         furniture = furnish(plan, stock, robot_radius)
-        labels = {thing.piece.label for thing in furniture}
+        labels = {obj.piece.label for obj in furniture}
         if not all(labels & any_of for any_of in REQUIRED):
             continue
         building = Placed(build_building(plan, stock.palette, rng))
         yaw = float(rng.uniform(-np.pi, np.pi))
         lighting = _lighting(rng)
         centre = _middle(building.within(0.0, 0.0, yaw))
-        things = [thing.within(-centre[0], -centre[1], yaw) for thing in (building, *furniture)]
-        mesh = assemble(things)
+        placed = [obj.within(-centre[0], -centre[1], yaw) for obj in (building, *furniture)]
+        mesh = assemble(placed)
         try:
             free = free_space(mesh, 0.0, robot_radius)
         except UserError:
             continue
-        if _reaches_all(free, plan, things[0]):
+        if _reaches_all(free, plan, placed[0]):
             objects = tuple(
-                object_of(i, thing, categories.of_label("procedural", thing.piece.label))
-                for i, thing in enumerate(things)
+                object_of(i, obj, categories.of_label("procedural", obj.piece.label))
+                for i, obj in enumerate(placed)
                 if i > 0
             )
             return Scene(name, mesh, lighting, objects, free, 0.0, plan.ceiling)

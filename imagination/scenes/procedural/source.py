@@ -18,7 +18,7 @@ from imagination.utils.errors import UserError, check_range
 
 SOURCE = "procedural"
 
-MOST = 9999
+MAX_SCENES = 9999
 """Homes of a split."""
 
 SPARE = "known"
@@ -56,9 +56,9 @@ class ProceduralHomes:
         if set(splits) != set(SPLITS):
             raise UserError(f"procedural homes: got splits {sorted(splits)}, expected {', '.join(SPLITS)}")
         for split, count in splits.items():
-            check_range(f"procedural homes: splits.{split}", count, 0, MOST, "homes")
+            check_range(f"procedural homes: splits.{split}", count, 0, MAX_SCENES, "homes")
         for category in categories:
-            unknown = sorted(set(category.members.get(SOURCE, ())) - set(LABELS))
+            unknown = sorted(set(category.aliases.get(SOURCE, ())) - set(LABELS))
             if unknown:
                 raise UserError(
                     f"categories: {category.name} claims {', '.join(unknown)} of {SOURCE}, expected labels among: "
@@ -71,13 +71,13 @@ class ProceduralHomes:
             categories.index(name)
             if name not in self.categories():
                 raise UserError(
-                    f"category {name}: no procedural home contains it; list its labels under members.{SOURCE} "
+                    f"category {name}: no procedural home contains it; list its labels under aliases.{SOURCE} "
                     f"(homes know: {', '.join(sorted(LABELS))})"
                 )
 
     def categories(self) -> tuple[str, ...]:
         """Categories that homes of every split contain, without loading any."""
-        return tuple(category.name for category in self._categories if category.members.get(SOURCE))
+        return tuple(category.name for category in self._categories if category.aliases.get(SOURCE))
 
     def scenes(self, split: Split) -> list[str]:
         """Names of a split's homes.
@@ -95,7 +95,7 @@ class ProceduralHomes:
 
     def spare(self, count: int) -> list[str]:
         """Names of homes furnished as training's whose numbers lie beyond all of training's."""
-        check_range("procedural homes: spare homes", count, 1, MOST, "homes")
+        check_range("procedural homes: spare homes", count, 1, MAX_SCENES, "homes")
         return [f"{SPARE}_{number:04d}" for number in range(count)]
 
     def load(self, scene: str) -> Scene:
@@ -112,9 +112,9 @@ class ProceduralHomes:
     def fingerprint(self, scene: str) -> str:
         """Changes with the seed, the home, the robot, the categories' labels, the furniture and the builders' code."""
         self._parse(scene)
-        members = [(category.name, sorted(category.members.get(SOURCE, ()))) for category in self._categories]
+        aliases = [(category.name, sorted(category.aliases.get(SOURCE, ()))) for category in self._categories]
         furniture = self._furniture.fingerprint()
-        text = repr((SOURCE, self._seed, scene, self._robot_radius, members, furniture, _code_version()))
+        text = repr((SOURCE, self._seed, scene, self._robot_radius, aliases, furniture, _code_version()))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def credits(self) -> Sequence[Credit]:
@@ -126,7 +126,7 @@ class ProceduralHomes:
             if self._counts[split] and scene in self.scenes(split):
                 return split, int(scene.rsplit("_", 1)[1])
         if re.fullmatch(rf"{SPARE}_\d{{4}}", scene):
-            return "train", MOST + 1 + int(scene.rsplit("_", 1)[1])
+            return "train", MAX_SCENES + 1 + int(scene.rsplit("_", 1)[1])
         have = ", ".join(f"{split}_0000 to {split}_{n - 1:04d}" for split, n in self._counts.items() if n)
         raise UserError(f"scene: got {scene!r}, expected one of: {have or '(no homes are configured)'}")
 

@@ -125,16 +125,16 @@ class HabitatScenes:
         """Named objects between floor and ceiling, and the instance of each semantic id."""
         objects: list[SceneObject] = []
         rows: dict[int, int] = {}
-        for thing in simulator.semantic_scene.objects:
-            if thing is None or thing.category is None or (name := thing.category.name()) in UNNAMED:
+        for obj in simulator.semantic_scene.objects:
+            if obj is None or obj.category is None or (name := obj.category.name()) in UNNAMED:
                 continue
             # aabb wrongly reaches to the world's origin
-            box = upright(thing.obb.center, thing.obb.half_extents, _quaternion(thing.obb.rotation))
-            if not floor - 0.5 <= box.centre[2] <= floor + CEILING + 0.5 or int(thing.semantic_id) == 0:
+            box = upright(obj.obb.center, obj.obb.half_extents, _quaternion(obj.obb.rotation))
+            if not floor - 0.5 <= box.centre[2] <= floor + CEILING + 0.5 or int(obj.semantic_id) == 0:
                 continue
-            rows[int(thing.semantic_id)] = len(objects) + 1
+            rows[int(obj.semantic_id)] = len(objects) + 1
             category = self._category_of.get(name)
-            objects.append(SceneObject(len(objects) + 1, name, category, box, str(thing.id)))
+            objects.append(SceneObject(len(objects) + 1, name, category, box, str(obj.id)))
         return tuple(objects), rows
 
     def _check_semantics(self, scene: Scene, renderer: HabitatRenderer) -> None:

@@ -37,7 +37,7 @@ MakeMapper = Callable[[RgbdCamera], SemanticMapper]
 HISTORY = 30.0
 """Seconds of transforms that are kept."""
 
-MOST_PENDING = 32
+MAX_PENDING = 32
 """Frames that wait for their pose: those of a second at the usual rates."""
 
 
@@ -154,7 +154,7 @@ class MappingNode:
             layers[topic] = maps.category_layer(category)
         for name, layer in layers.items():
             self.publish(name, GRID, self.codec.occupancy_grid(layer, maps.grid, maps.frame, stamp))
-        colours = dict(zip(maps.categories, self.mapper.description.colours, strict=True))
+        colours = dict(zip(maps.categories, self.mapper.spec.colours, strict=True))
         objects = maps.objects()
         self.publish("objects", MARKERS, self.codec.markers(objects, colours, maps.frame, stamp))
 
@@ -215,7 +215,7 @@ class MappingNode:
         else:
             for stamp, colour, depth in self._pairing.add(role, stamp_of(message), message):
                 self._pending.append(Pending(stamp, time.monotonic(), colour, depth))
-                if len(self._pending) > MOST_PENDING:
+                if len(self._pending) > MAX_PENDING:
                     del self._pending[1]  # not the oldest: its pose comes first
                     self.counts["dropped: a later frame came"] += 1
 

@@ -71,7 +71,7 @@ def check_building(building: Building, where: str) -> None:
     if not building.objects:
         raise UserError(f"{where}: lists no objects, expected some with names; its semantics are empty")
     seen = set(np.unique(building.face_object).tolist())
-    ids = [thing.id for thing in building.objects]
+    ids = [obj.id for obj in building.objects]
     if min(ids) < 1 or len(set(ids)) < len(ids):
         raise UserError(f"{where}: ids of its objects are below 1 or occur twice: {sorted(ids)[:5]} …")
     if not seen & set(ids):
@@ -160,10 +160,10 @@ def cut(building: Building, floor: Floor) -> tuple[Building, tuple[ScannedObject
     face_object = building.face_object[inside]
     faces = building.faces[inside]
     here = []
-    for thing, middle in _middles(building, face_object, faces):
+    for obj, middle in _middles(building, face_object, faces):
         if floor.height - BELOW <= middle <= floor.ceiling + BELOW:
-            here.append(thing)
-    kept = np.isin(face_object, [thing.id for thing in here])
+            here.append(obj)
+    kept = np.isin(face_object, [obj.id for obj in here])
     used, compact = np.unique(faces, return_inverse=True)
     part = Building(
         building.vertices[used],
@@ -185,12 +185,12 @@ def _middles(
     ids, starts = np.unique(face_object[order], return_index=True)
     z = building.vertices[:, 2][faces[order]].mean(axis=1)
     mean = dict(zip(ids.tolist(), (part.mean() for part in np.split(z, starts[1:])), strict=True))
-    return [(thing, float(mean[thing.id])) for thing in building.objects if thing.id in mean]
+    return [(obj, float(mean[obj.id])) for obj in building.objects if obj.id in mean]
 
 
 def mesh_of(building: Building) -> Mesh:
     """The building as the renderer takes it; instance ids are rows of `objects`, from 1."""
-    instance = {thing.id: number for number, thing in enumerate(building.objects, start=1)}
+    instance = {obj.id: number for number, obj in enumerate(building.objects, start=1)}
     ids, rows = np.unique(building.face_object, return_inverse=True)
     return Mesh(
         building.vertices,

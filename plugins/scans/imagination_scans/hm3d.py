@@ -67,7 +67,7 @@ class HM3D:
         colours, rows = np.unique(code, return_inverse=True)
         ids = np.array([by_colour[c].id if c in by_colour else 0 for c in colours.tolist()], np.int32)
         vertices, faces = _joined(parts)
-        materials, face_material, face_uv = _looks(shown_path, parts)
+        materials, face_material, face_uv = _panorama_poses(shown_path, parts)
         objects = tuple(by_colour.values())
         result = Building(vertices, faces, ids[rows], face_material, face_uv, materials, objects)
         check_building(result, str(building))
@@ -197,7 +197,7 @@ def _image(visual: Any) -> np.ndarray | None:
     return np.asarray(image.convert("RGB"))
 
 
-def _looks(path: Path, parts: list[Part]) -> tuple[tuple[Material, ...], np.ndarray, np.ndarray]:
+def _panorama_poses(path: Path, parts: list[Part]) -> tuple[tuple[Material, ...], np.ndarray, np.ndarray]:
     """Materials, rows and texture coordinates of the coloured mesh; grey, with a warning, if it cannot be used.
 
     What the semantic mesh is painted with is the answer, which no image may show.

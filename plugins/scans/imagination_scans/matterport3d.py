@@ -85,7 +85,7 @@ class Matterport3D:
             for number, (category, corners) in sorted(house.objects.items())
         )
         face_object = instance[owner] + 1
-        known = np.isin(face_object, [thing.id for thing in objects])
+        known = np.isin(face_object, [obj.id for obj in objects])
         result = Building(
             vertices,
             faces,

@@ -56,7 +56,7 @@ class Replica:
         (instance,) = ply_columns(ply, path, "face", ["object_id", "objectid"], kinds="iu")
         materials, face_material, face_uv = coloured(face_colours(rgb, faces))
         face_object = np.asarray(instance, np.int64)[owner] + 1
-        known = np.isin(face_object, [thing.id for thing in objects])
+        known = np.isin(face_object, [obj.id for obj in objects])
         face_object = np.where(known, face_object, 0).astype(np.int32)
         result = Building(vertices, faces, face_object, face_material, face_uv, materials, objects)
         check_building(result, str(building))

@@ -85,7 +85,7 @@ class SceneZoo:
         objects = tuple(
             ScannedObject(id + 1, name) for id, name in sorted(labels.id_to_name.items()) if id >= 0
         )
-        known = np.isin(of_face, [thing.id - 1 for thing in objects])
+        known = np.isin(of_face, [obj.id - 1 for obj in objects])
         face_object = np.where(known, of_face + 1, 0).astype(np.int32)
         result = Building(vertices, faces, face_object, face_material, face_uv, materials, objects)
         check_building(result, str(building))

@@ -123,12 +123,10 @@ class ScannedBuildings:
             f"{next(iter(self._buildings))}_0; buildings: {', '.join(list(self._buildings)[:20])}"
         )
 
-    def _object(self, instance: int, thing: ScannedObject, part: Building) -> SceneObject:
-        corners = part.vertices[np.unique(part.faces[part.face_object == thing.id])]
-        box = upright_box(corners, thing.corners)
-        return SceneObject(
-            instance, thing.name, self._category_of.get(thing.name), box, f"{self.name}/{thing.id}"
-        )
+    def _object(self, instance: int, obj: ScannedObject, part: Building) -> SceneObject:
+        corners = part.vertices[np.unique(part.faces[part.face_object == obj.id])]
+        box = upright_box(corners, obj.corners)
+        return SceneObject(instance, obj.name, self._category_of.get(obj.name), box, f"{self.name}/{obj.id}")
 
     def _scene(self, scene: str, building: Building, floor: Floor) -> Scene:
         """A floor as a scene.
@@ -136,13 +134,13 @@ class ScannedBuildings:
         Raises:
             UserError: if it has no objects or nothing of it is free.
         """
-        part, things = cut(building, floor)
-        if not things:
+        part, found = cut(building, floor)
+        if not found:
             raise UserError(
                 f"scene {scene}: no object of the annotation lies on this floor; its semantics are empty"
             )
         mesh = mesh_of(part)
-        objects = tuple(self._object(number, thing, part) for number, thing in enumerate(things, start=1))
+        objects = tuple(self._object(number, obj, part) for number, obj in enumerate(found, start=1))
         low, high = self._clearance
         try:
             free = free_space(mesh, floor.height, self._robot_radius, clearance=(low, high))

@@ -162,12 +162,12 @@ class SweetHomes:
     def fingerprint(self, scene: str) -> str:
         """Changes with the file, the robot, the catalogues, the categories' labels and this code."""
         path, _ = self._level(scene)
-        members = [
-            (row.name, {source: sorted(of) for source, of in row.members.items()}) for row in self._categories
+        aliases = [
+            (row.name, {source: sorted(of) for source, of in row.aliases.items()}) for row in self._categories
         ]
         content = hashlib.sha256(path.read_bytes()).hexdigest()
         archives = [fingerprint(path) for path in _catalogues(self._catalogues)]
-        text = repr((NAME, scene, content, self._robot_radius, members, archives, code_version()))
+        text = repr((NAME, scene, content, self._robot_radius, aliases, archives, code_version()))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _files(self) -> dict[Split, list[Path]]:

@@ -106,8 +106,8 @@ class _Table:
             self._seat(0, place, 2 * KNEES + 0.2) for place in np.arange(KNEES, length - KNEES + 0.01, 0.05)
         ]
         x, y = self.places[0].mean(axis=0).tolist()
-        beside = Seat(x, y, YAWS[0], 2 * KNEES + 0.2, 0.0, self.underside)  # a chair may stand before it
-        found = [seat for seat in tried if seat is not None] or [beside]
+        next_to = Seat(x, y, YAWS[0], 2 * KNEES + 0.2, 0.0, self.underside)  # a chair may stand before it
+        found = [seat for seat in tried if seat is not None] or [next_to]
         return max(found, key=lambda seat: (round(seat.depth, 1), -abs(seat.x - x)))
 
     def _seat(self, side: int, along: float, width: float) -> Seat | None:

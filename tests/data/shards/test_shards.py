@@ -1,4 +1,4 @@
-"""Corpora as shards: written home by home, gone on with, streamed into the same training."""
+"""Corpora as shards: written scene by scene, gone on with, streamed into the same training."""
 
 import fcntl
 import json
@@ -17,7 +17,7 @@ from hydra.utils import instantiate
 from imagination.config.compose import compose
 from imagination.data.shards import writer as corpora
 from imagination.data.shards.reader import ShardCollector, ShardData, Shards
-from imagination.data.shards.writer import INDEX, Recipe
+from imagination.data.shards.writer import INDEX, ShardSpec
 from imagination.scenes.scene import Scene
 from imagination.scenes.sensor import IdealSensor
 from imagination.scenes.source import Split
@@ -30,16 +30,16 @@ from tests.data.test_datamodule import observer, same
 from tests.helpers.room_source import Rooms
 from tests.helpers.rooms import tiny_room
 
-RECIPE = Recipe(UniformPoses(), seed=1, views=12, group=2)
-HOMES = Rooms(5).scenes("train")
+RECIPE = ShardSpec(UniformPoses(), seed=1, views=12, group=2)
+SCENES = Rooms(5).scenes("train")
 
 
 @pytest.fixture(scope="module")
 def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("corpus")
     watcher = observer(tmp_path_factory.mktemp("cache"), Rooms(5))
-    for home in HOMES:
-        corpora.write_home(watcher, home, folder, RECIPE)
+    for scene in SCENES:
+        corpora.write_scene(watcher, scene, folder, RECIPE)
     corpora.write_index(folder, watcher, RECIPE)
     return folder
 
@@ -54,9 +54,9 @@ def poses(views: Views) -> list[tuple[float, ...]]:
 
 def test_what_is_written_is_read(corpus: Path, tmp_path: Path) -> None:
     watcher, read = observer(tmp_path, Rooms(5)), opened(corpus)
-    assert read.homes == dict.fromkeys(sorted(HOMES), 6) and read.group == 2
+    assert read.scenes == dict.fromkeys(sorted(SCENES), 6) and read.group == 2
     read.check(watcher)
-    read.check_homes(watcher, HOMES)
+    read.check_scenes(watcher, SCENES)
     from zlib import crc32
 
     seed = (1, corpora.Stream.SHARDS, crc32(b"train_3"), 4)
@@ -64,16 +64,16 @@ def test_what_is_written_is_read(corpus: Path, tmp_path: Path) -> None:
 
 
 def test_every_view_comes_once_a_lap_whatever_is_asked_first(corpus: Path) -> None:
-    collector = ShardCollector(opened(corpus), HOMES, seed=3, parallel_scenes=5, steps=4)
+    collector = ShardCollector(opened(corpus), SCENES, seed=3, parallel_scenes=5, steps=4)
     assert collector.views_per_collection == 20
-    lap = [collector.start(index)() for index in range(3)]  # 5 homes x 12 views = 3 collections of 20
+    lap = [collector.start(index)() for index in range(3)]  # 5 scenes x 12 views = 3 collections of 20
     seen = [pose for views in lap for pose in poses(views)]
     assert len(set(seen)) == 60
-    again = ShardCollector(opened(corpus), HOMES, seed=3, parallel_scenes=5, steps=4)
+    again = ShardCollector(opened(corpus), SCENES, seed=3, parallel_scenes=5, steps=4)
     assert all(same(again.start(index)(), lap[index]) for index in (2, 0, 1))
     next_lap = [pose for index in range(3, 6) for pose in poses(collector.start(index)())]
     assert set(next_lap) == set(seen) and next_lap != seen
-    other = ShardCollector(opened(corpus), HOMES, seed=4, parallel_scenes=5, steps=4)
+    other = ShardCollector(opened(corpus), SCENES, seed=4, parallel_scenes=5, steps=4)
     assert not same(other.start(0)(), lap[0])
 
 
@@ -83,7 +83,7 @@ def test_views_of_another_camera_are_refused(corpus: Path, tmp_path: Path) -> No
     with pytest.raises(UserError, match="were made with camera .*1.25.* but the config asks for .*1.0"):
         opened(corpus).check(other)
     with pytest.raises(UserError, match="write them with that interval"):
-        ShardCollector(opened(corpus), HOMES, 0, 2, steps=5)
+        ShardCollector(opened(corpus), SCENES, 0, 2, steps=5)
 
 
 def test_damage_and_absence_are_told(corpus: Path, tmp_path: Path) -> None:
@@ -155,14 +155,14 @@ def copy(corpus: Path, folder: Path) -> Path:
 
 def test_homes_made_with_other_settings_are_refused(corpus: Path, tmp_path: Path) -> None:
     folder, told = copy(corpus, tmp_path), r"made with sensor .*IdealSensor.* but the config asks for .*Noisy"
-    watcher = observer(tmp_path, Rooms(2))  # which knows but two of the homes
-    assert corpora.unwritten(folder, watcher, HOMES[:2], RECIPE) == []
-    assert len(corpora.write_index(folder, watcher, RECIPE)["homes"]) == 5
+    watcher = observer(tmp_path, Rooms(2))  # which knows but two of the scenes
+    assert corpora.unwritten(folder, watcher, SCENES[:2], RECIPE) == []
+    assert len(corpora.write_index(folder, watcher, RECIPE)["scenes"]) == 5
     before = (folder / INDEX).read_bytes()
     noisy = replace(watcher, sensor=Noisy())
     with pytest.raises(UserError, match=told):  # before any is rendered
-        corpora.unwritten(folder, noisy, HOMES[:2], RECIPE)
-    corpora.write_home(noisy, "train_0", folder, RECIPE)
+        corpora.unwritten(folder, noisy, SCENES[:2], RECIPE)
+    corpora.write_scene(noisy, "train_0", folder, RECIPE)
     with pytest.raises(UserError, match=told):
         corpora.write_index(folder, noisy, RECIPE)
     with pytest.raises(UserError, match=r"made with seed 1, but the config asks for 2"):
@@ -179,21 +179,21 @@ class Rebuilt(Rooms):
 
 def test_other_homes_of_the_same_names_are_refused(corpus: Path, tmp_path: Path) -> None:
     folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rebuilt(5))
-    for home in HOMES:
-        if home != "train_1":
-            corpora.write_home(watcher, home, folder, RECIPE)
+    for scene in SCENES:
+        if scene != "train_1":
+            corpora.write_scene(watcher, scene, folder, RECIPE)
     before = (folder / "chunk-train_1.bin").read_bytes()
     with pytest.raises(
         UserError, match=r"same names \(train_1\); .* or remove train_1.record.json to write that"
     ):
-        corpora.unwritten(folder, watcher, HOMES, RECIPE)
+        corpora.unwritten(folder, watcher, SCENES, RECIPE)
     assert (folder / "chunk-train_1.bin").read_bytes() == before
     corpora.write_index(folder, watcher, RECIPE)
-    opened(folder).check_homes(watcher, ["train_0", "train_2"])
-    with pytest.raises(UserError, match="other homes than the config's of these names: train_1; choose"):
-        opened(folder).check_homes(watcher, HOMES)
+    opened(folder).check_scenes(watcher, ["train_0", "train_2"])
+    with pytest.raises(UserError, match="other scenes than the config's of these names: train_1; choose"):
+        opened(folder).check_scenes(watcher, SCENES)
     (folder / "train_1.record.json").unlink()
-    assert corpora.unwritten(folder, watcher, HOMES, RECIPE) == ["train_1"]
+    assert corpora.unwritten(folder, watcher, SCENES, RECIPE) == ["train_1"]
 
 
 def test_training_is_told_of_poses_drawn_otherwise(
@@ -210,7 +210,7 @@ def test_training_is_told_of_poses_drawn_otherwise(
 
 def test_a_written_home_is_held_no_longer(tmp_path: Path) -> None:
     watcher = observer(tmp_path, Attic(5))
-    dict(corpora.write_homes(watcher, HOMES, tmp_path / "corpus", RECIPE, 0))
+    dict(corpora.write_scenes(watcher, SCENES, tmp_path / "corpus", RECIPE, 0))
     assert not watcher._loaded and not watcher._truths
 
 
@@ -240,10 +240,10 @@ def test_a_home_whose_record_is_damaged_is_written_again(
     folder, watcher = copy(corpus, tmp_path), observer(tmp_path, Rooms(5))
     (folder / "train_1.record.json").write_text(content)
     (folder / "chunk-train_3.bin").unlink()
-    assert corpora.unwritten(folder, watcher, HOMES, RECIPE) == ["train_1", "train_3"]
+    assert corpora.unwritten(folder, watcher, SCENES, RECIPE) == ["train_1", "train_3"]
     assert "train_1.record.json cannot be read" in caplog.text
     corpora.write_index(folder, watcher, RECIPE)
-    assert list(opened(folder).homes) == ["train_0", "train_2", "train_4"]
+    assert list(opened(folder).scenes) == ["train_0", "train_2", "train_4"]
 
 
 def test_a_corpus_behind_a_url_may_grow(corpus: Path, tmp_path: Path) -> None:
@@ -251,10 +251,10 @@ def test_a_corpus_behind_a_url_may_grow(corpus: Path, tmp_path: Path) -> None:
     url = f"local://{folder}", str(tmp_path / "kept"), 1.0  # litdata fetches it as it would from s3://
     assert same(Shards(*url).read("train_3", 4), opened(corpus).read("train_3", 4))
     assert list((tmp_path / "kept").rglob("chunk-train_3.bin"))
-    corpora.write_home(watcher, "train_5", folder, RECIPE)
+    corpora.write_scene(watcher, "train_5", folder, RECIPE)
     corpora.write_index(folder, watcher, RECIPE)
     grown = Shards(*url)
-    assert list(grown.homes) == [*HOMES, "train_5"]
+    assert list(grown.scenes) == [*SCENES, "train_5"]
     assert same(grown.read("train_5", 0), opened(folder).read("train_5", 0))
 
 
@@ -276,9 +276,9 @@ def test_a_corpus_is_read_from_an_s3_server(
         for path in corpus.iterdir():
             client.upload_file(str(path), "bucket", f"views/{path.name}")
         fetched = Shards("s3://bucket/views", str(tmp_path / "kept"), 1.0)
-        assert fetched.homes == opened(corpus).homes
-        for home in HOMES:
-            assert same(fetched.read(home, 3), opened(corpus).read(home, 3))
+        assert fetched.scenes == opened(corpus).scenes
+        for scene in SCENES:
+            assert same(fetched.read(scene, 3), opened(corpus).read(scene, 3))
         with pytest.raises(UserError, match="s3://bucket/nothing cannot be fetched"):
             Shards("s3://bucket/nothing", str(tmp_path / "none"), 1.0)
     finally:
@@ -299,8 +299,8 @@ def streamed(corpus: str, folder: Path, count: int, gigabytes: float = 1.0) -> S
     return ShardData(
         shards=corpus, shard_cache=str(folder / "kept"), shard_gigabytes=gigabytes,
         observer=observer(folder, Rooms(count)), unit_categories=["bed"], sampler=UniformPoses(),
-        held_out_sampler=UniformPoses(), imaginable=1.0, neighbourhood=0.62, seed=3, parallel_scenes=2, batch_size=5,
-        held_out_views={"val": 7, "test": 4}, workers=0,
+        eval_sampler=UniformPoses(), imaginable=1.0, neighbourhood=0.62, seed=3, parallel_scenes=2, batch_size=5,
+        eval_views={"val": 7, "test": 4}, workers=0,
     )  # fmt: skip
 
 
@@ -308,18 +308,18 @@ def test_training_takes_the_homes_of_its_split_alone(
     corpus: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder, tests = copy(corpus, tmp_path), observer(tmp_path, Rooms(5))
-    corpora.write_home(tests, "test_0", folder, RECIPE)
+    corpora.write_scene(tests, "test_0", folder, RECIPE)
     corpora.write_index(folder, tests, RECIPE)
-    assert streamed(str(folder), tmp_path, 3).collector(4).homes == HOMES[:3]
-    assert "3 homes in it are not of this training" in caplog.text  # two of train, one of test
+    assert streamed(str(folder), tmp_path, 3).collector(4).scenes == SCENES[:3]
+    assert "3 scenes in it are not of this training" in caplog.text  # two of train, one of test
     (folder / "train_1.record.json").unlink()
     corpora.write_index(folder, tests, RECIPE)
-    assert streamed(str(folder), tmp_path, 3).collector(4).homes == ["train_0", "train_2"]
-    assert "1 of the 3 homes of training are not in it" in caplog.text
-    for home in HOMES:
-        (folder / f"{home}.record.json").unlink(missing_ok=True)
+    assert streamed(str(folder), tmp_path, 3).collector(4).scenes == ["train_0", "train_2"]
+    assert "1 of the 3 scenes of training are not in it" in caplog.text
+    for scene in SCENES:
+        (folder / f"{scene}.record.json").unlink(missing_ok=True)
     corpora.write_index(folder, tests, RECIPE)
-    with pytest.raises(UserError, match="holds test_0, expected homes of the training split: train_0"):
+    with pytest.raises(UserError, match="holds test_0, expected scenes of the training split: train_0"):
         streamed(str(folder), tmp_path, 3).collector(4)
 
 
@@ -351,7 +351,7 @@ def test_a_run_goes_on_with_the_corpus_it_began_with_wherever_it_lies(corpus: Pa
     assert same(moved.collector(4).start(3)(), views)
     watcher, folder = observer(tmp_path, Rooms(5)), tmp_path / "other"
     other = replace(RECIPE, seed=2)
-    dict(corpora.write_homes(watcher, HOMES, folder, other, 0))
+    dict(corpora.write_scenes(watcher, SCENES, folder, other, 0))
     corpora.write_index(folder, watcher, other)
     changed = streamed(str(folder), tmp_path, 5)
     changed.load_state_dict(begun.state_dict())
@@ -360,11 +360,11 @@ def test_a_run_goes_on_with_the_corpus_it_began_with_wherever_it_lies(corpus: Pa
 
 
 def test_homes_that_are_open_at_once_have_room(corpus: Path, tmp_path: Path) -> None:
-    largest = max((corpus / f"chunk-{home}.bin").stat().st_size for home in HOMES)
-    enough = 2 * largest / 1e9  # two homes are looked into at once
+    largest = max((corpus / f"chunk-{scene}.bin").stat().st_size for scene in SCENES)
+    enough = 2 * largest / 1e9  # two scenes are looked into at once
     streamed(f"local://{corpus}", tmp_path, 5, 1.01 * enough).collector(4)
     with pytest.raises(
-        UserError, match="data.module.shard_gigabytes: got .*, expected at least .* of the 2 homes"
+        UserError, match="data.module.shard_gigabytes: got .*, expected at least .* of the 2 scenes"
     ):
         streamed(f"local://{corpus}", tmp_path, 5, 0.9 * enough).collector(4)
     streamed(str(corpus), tmp_path, 5, 0.9 * enough).collector(4)  # nothing is fetched from a folder
@@ -373,9 +373,11 @@ def test_homes_that_are_open_at_once_have_room(corpus: Path, tmp_path: Path) -> 
 def test_a_home_that_no_chunk_can_hold_is_told_before_it_is_rendered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(corpora, "MOST_BYTES", 50_000)
-    (told,) = dict(corpora.write_homes(observer(tmp_path, Rooms(5)), HOMES[:1], tmp_path, RECIPE, 0)).values()
-    assert "views: got 12 of each home, about 0." in told and "write fewer of more homes" in told
+    monkeypatch.setattr(corpora, "MAX_BYTES", 50_000)
+    (told,) = dict(
+        corpora.write_scenes(observer(tmp_path, Rooms(5)), SCENES[:1], tmp_path, RECIPE, 0)
+    ).values()
+    assert "views: got 12 of each scene, about 0." in told and "write fewer of more scenes" in told
     assert not list(tmp_path.glob("chunk-*"))
 
 
@@ -384,21 +386,21 @@ def test_another_version_of_the_program_writes_another_corpus(
 ) -> None:
     monkeypatch.setattr(corpora, "code_version", lambda: "another version")
     with pytest.raises(UserError, match="made with program .* but the config asks for another vers"):
-        corpora.unwritten(copy(corpus, tmp_path), observer(tmp_path, Rooms(5)), HOMES, RECIPE)
+        corpora.unwritten(copy(corpus, tmp_path), observer(tmp_path, Rooms(5)), SCENES, RECIPE)
     streamed(str(corpus), tmp_path, 5).collector(4)  # trainings may read it all the same
 
 
 def test_a_full_disk_ends_the_corpus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The homes after it would be rendered in vain."""
+    """The scenes after it would be rendered in vain."""
 
     def full(*_: object) -> None:
         raise OSError(ENOSPC, "No space left on device")
 
     watcher = observer(tmp_path, Rooms(5))
-    for home in HOMES:
-        watcher.truth(home)  # what lies in the cache is there already
+    for scene in SCENES:
+        watcher.truth(scene)  # what lies in the cache is there already
     monkeypatch.setattr("imagination.runs.folder.os.replace", full)
-    written = corpora.write_homes(watcher, HOMES, tmp_path, RECIPE, 0)
+    written = corpora.write_scenes(watcher, SCENES, tmp_path, RECIPE, 0)
     with pytest.raises(errors.CannotWriteError, match="No space left on device; free some space"):
         list(written)
 
@@ -417,15 +419,15 @@ def test_an_index_lists_all_that_was_there_when_it_is_written(corpus: Path, tmp_
         assert late.is_alive() and (folder / INDEX).read_bytes() == before
         record.write_text(content)
     late.join(30)
-    assert list(opened(folder).homes) == HOMES
+    assert list(opened(folder).scenes) == SCENES
 
 
 @dataclass(frozen=True)
 class Paths(Rooms):
-    """A home whose name is a path."""
+    """A scene whose name is a path."""
 
     def scenes(self, split: Split) -> list[str]:
-        return ["homes/my house.glb", "homes/my_house.glb"]
+        return ["scenes/my house.glb", "scenes/my_house.glb"]
 
     def load(self, scene: str) -> Scene:
         return tiny_room()
@@ -433,10 +435,10 @@ class Paths(Rooms):
 
 def test_a_home_may_be_named_by_a_path(tmp_path: Path) -> None:
     watcher, folder = observer(tmp_path / "cache", Paths()), tmp_path / "corpus"
-    homes = Paths().scenes("train")
-    assert dict(corpora.write_homes(watcher, homes, folder, RECIPE, 0)) == dict.fromkeys(homes, "")
+    scenes = Paths().scenes("train")
+    assert dict(corpora.write_scenes(watcher, scenes, folder, RECIPE, 0)) == dict.fromkeys(scenes, "")
     corpora.write_index(folder, watcher, RECIPE)
-    assert sorted(opened(folder).homes) == homes
+    assert sorted(opened(folder).scenes) == scenes
     assert {path.parent for path in tmp_path.rglob("*.record.json")} == {folder}
 
 
@@ -451,23 +453,23 @@ class Deadly(Rooms):
 
 def test_a_home_that_kills_its_worker_is_left_out(tmp_path: Path) -> None:
     watcher, folder = observer(tmp_path / "cache", Deadly(4)), tmp_path / "corpus"
-    homes = Deadly(4).scenes("train")
-    problems = dict(corpora.write_homes(watcher, homes, folder, RECIPE, workers=2))
-    assert set(problems) == set(homes) and "was killed" in problems.pop("train_1")
+    scenes = Deadly(4).scenes("train")
+    problems = dict(corpora.write_scenes(watcher, scenes, folder, RECIPE, workers=2))
+    assert set(problems) == set(scenes) and "was killed" in problems.pop("train_1")
     assert not any(problems.values())
     corpora.write_index(folder, watcher, RECIPE)
-    assert list(opened(folder).homes) == ["train_0", "train_2", "train_3"]
+    assert list(opened(folder).scenes) == ["train_0", "train_2", "train_3"]
 
 
-WRITE = ["scale=test", "scale.homes.train=3", "views=8", "shards=corpus"]
+WRITE = ["scale=test", "scale.scenes.train=3", "views=8", "shards=corpus"]
 
 
 def test_the_command_writes_goes_on_and_training_streams(command: Command, tmp_path: Path) -> None:
     done = command("prepare_shards", *WRITE, "part=0", "parts=2")
-    assert done.returncode == 0 and "2 homes, 16 views" in done.stderr, done.stderr
+    assert done.returncode == 0 and "2 scenes, 16 views" in done.stderr, done.stderr
     first = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "corpus").glob("chunk-train*")}
     done = command("prepare_shards", *WRITE)  # all of them: those that are there stay
-    assert done.returncode == 0 and "3 homes, 24 views" in done.stderr, done.stderr
+    assert done.returncode == 0 and "3 scenes, 24 views" in done.stderr, done.stderr
     assert "a million take" in done.stderr
     assert all((tmp_path / "corpus" / name).stat().st_mtime_ns == time for name, time in first.items())
     done = command("train", "+experiment=chair_unet", "scale=test", "data=shards", "data.shards=corpus")
@@ -491,9 +493,9 @@ def test_a_broken_home_is_told_and_left_out(command: Command, tmp_path: Path) ->
     done = command("prepare_shards", "scale=test", "views=4", "shards=corpus", "data/scenes=attic")
     assert done.returncode == 0, done.stderr
     assert "train_1 is left out: OSError: its roof is missing" in done.stderr
-    assert "1 homes failed: train_1; run this again" in done.stderr
-    homes = Shards(str(tmp_path / "corpus"), "", 1.0).homes
-    assert list(homes) == ["train_0", "train_2"]
+    assert "1 scenes failed: train_1; run this again" in done.stderr
+    scenes = Shards(str(tmp_path / "corpus"), "", 1.0).scenes
+    assert list(scenes) == ["train_0", "train_2"]
 
 
 def test_the_config_builds(corpus: Path) -> None:

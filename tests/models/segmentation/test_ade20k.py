@@ -140,7 +140,7 @@ def test_classes_become_categories() -> None:
     }  # fmt: skip
     network.network, image = Sure(), torch.tensor([[0, 9], [0, 9]], dtype=torch.uint8).expand(1, 3, 2, 2)
     assert network.segment(image, 2, 2).tolist() == [[[1, 2], [0, 1]]]
-    network.mirrored_answers = True
+    network.tta_hflip = True
     assert network.segment(image, 2, 2).tolist() == [[[0, 0], [0, 0]]]
 
 
@@ -210,10 +210,10 @@ def test_names_that_are_none_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_class_that_does_not_exist_is_refused() -> None:
-    rows = {"chair": {"colour": [0, 0, 0], "members": {"ade20k": ["swivel chair"]}}}
+    rows = {"chair": {"colour": [0, 0, 0], "aliases": {"ade20k": ["swivel chair"]}}}
     with pytest.raises(
         UserError, match="chair claims 'swivel chair' of ade20k, expected classes among: wall"
     ):
         PublicHRNet(CategoryTable.from_config(rows), CAMERA)
-    with pytest.raises(UserError, match=r"no row lists members\.ade20k"):
+    with pytest.raises(UserError, match=r"no row lists aliases\.ade20k"):
         PublicHRNet(CategoryTable.from_config({"chair": {"colour": [0, 0, 0]}}), CAMERA)

@@ -11,7 +11,7 @@ from torch.utils.data import DataLoader
 
 from imagination.callbacks.replay_buffer import parts
 from imagination.models.segmentation.hrnet import HRNetV2
-from imagination.models.segmentation.lit_segmentation import SegmentationTraining
+from imagination.models.segmentation.lit_segmentation import LitSegmentation
 from imagination.utils.errors import UserError
 
 NAME = "hrnet_w18_small"
@@ -19,10 +19,10 @@ NAME = "hrnet_w18_small"
 HALVED = partial(torch.optim.lr_scheduler.StepLR, step_size=1, gamma=0.5)  # once an epoch
 
 
-def module(**options: float) -> SegmentationTraining:
+def module(**options: float) -> LitSegmentation:
     torch.manual_seed(0)
     network = partial(HRNetV2, NAME, **options)
-    return SegmentationTraining(network, ["chair", "bed"], partial(torch.optim.Adam, lr=0.003), HALVED)
+    return LitSegmentation(network, ["chair", "bed"], partial(torch.optim.Adam, lr=0.003), HALVED)
 
 
 def batch(views: int = 2, seed: int = 0) -> dict[str, Tensor]:
@@ -101,7 +101,7 @@ def test_mirrored_answers_are_the_mean_of_both_looks() -> None:
     trained(views), trained.eval()
     with torch.no_grad():
         straight, mirrored = trained(views), trained(views.flip(-1)).flip(-1)
-        trained.mirrored_answers = True
+        trained.tta_hflip = True
         torch.testing.assert_close(trained(views), (straight + mirrored) / 2)
         torch.testing.assert_close(trained(views.flip(-1)).flip(-1), trained(views))
     assert (straight - mirrored).abs().max() > 0.01
@@ -132,7 +132,7 @@ def test_an_accumulated_batch_trains_as_a_whole_one() -> None:
     weights = []
     for count in (1, 3):  # 7 views: parts of 3, 2 and 2
         torch.manual_seed(0)
-        trained = SegmentationTraining(Pixels, ["chair", "bed"], partial(torch.optim.SGD, lr=0.01), HALVED)
+        trained = LitSegmentation(Pixels, ["chair", "bed"], partial(torch.optim.SGD, lr=0.01), HALVED)
         trainer = lightning.Trainer(
             max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
             enable_model_summary=False, accumulate_grad_batches=count,

@@ -336,8 +336,8 @@ def test_other_distributions(frames: list[Taken]) -> None:
         objects = SemanticMapper(Toy(), threshold=0.3)
         objects.update(frames[0].rgb, frames[0].depth, frames[0].pose)
         found = objects.maps.objects()
-        assert sum(thing.area for thing in found) > sum(
-            thing.area for thing in replace(objects.maps, thresholds=(0.5,)).objects()
+        assert sum(obj.area for obj in found) > sum(
+            obj.area for obj in replace(objects.maps, thresholds=(0.5,)).objects()
         )
         markers = codec.markers(found, {"chair": (255, 0, 0)}, "map", 5 * 10**9)
         again = codec.decode(codec.encode(markers, MARKERS), MARKERS)

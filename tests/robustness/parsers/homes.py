@@ -51,7 +51,7 @@ def files() -> dict[str, list[bytes]]:
     """Valid files of each kind."""
     with tempfile.TemporaryDirectory() as folder:
         packed = sweet_home.write_catalogue(Path(folder) / "a.sh3f").read_bytes()
-        whole = sweet_home.write_home(Path(folder) / "a.sh3d").read_bytes()
+        whole = sweet_home.write_scene(Path(folder) / "a.sh3d").read_bytes()
     pictures = [io.BytesIO() for _ in FORMATS]
     for picture, kind in zip(pictures, FORMATS, strict=True):
         Image.new("RGB", (4, 4), (200, 100, 0)).save(picture, kind)

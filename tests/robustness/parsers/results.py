@@ -75,7 +75,7 @@ def report(*figures: str) -> Callable[[Path], object]:
 RESULTS, SWEEP = kept(write), kept(write_sweep)
 
 TABLES = {
-    "runs.csv": report("distribution", "maps"),
+    "trials.csv": report("distribution", "maps"),
     "thresholds.csv": report("precision_recall_views", "reliability_network"),
     **dict.fromkeys(("mapping.csv", "ego.csv", "provenance.json"), report()),
 }
@@ -94,7 +94,7 @@ PARSERS = [
     Parser("results-single-views-resealed", *resealed(*exchanged(RESULTS, SINGLES, single_views))),
     Parser("results-curves", *exchanged(RESULTS, EVENTS, report("curve"))),
     Parser("sweep-config.yaml", *exchanged(SWEEP, "1/config.yaml", sweep)),
-    Parser("sweep-members.csv", *exchanged(SWEEP, FILE, sweep)),
+    Parser("sweep-jobs.csv", *exchanged(SWEEP, FILE, sweep)),
     Parser("sweep-resumed", *exchanged(SWEEP, FILE, sweep_jobs.read)),
     Parser("sweep-multirun.yaml", *exchanged(SWEEP, "multirun.yaml", sweep)),
 ]

@@ -10,13 +10,13 @@ from torch import Tensor, nn
 from imagination.deployment.load import load
 from imagination.deployment.onnx_backend import KEY, NAMES, arrays
 from imagination.deployment.torch_backend import ENTRY, inputs
-from imagination.mapping.predictor import Description
+from imagination.mapping.predictor import UnitSpec
 from imagination.models.segmentation.ade20k import fill, read, renamed
 from tests.helpers.checkpoints import samples
 from tests.helpers.toy_units import EGO, Toy
 from tests.robustness.parsers.parser import Parser, exchanged, kept, resealed
 
-TEXT = Toy("chair", "bed").description.to_json()
+TEXT = Toy("chair", "bed").spec.to_json()
 
 
 class Half(nn.Module):
@@ -101,7 +101,7 @@ PARSERS = [
     Parser("pt2-resealed", *resealed(*exchanged(PROGRAM, "unit.pt2", asked("unit.pt2")))),
     Parser(
         "onnx-description",
-        lambda path: Description.from_json(path.read_text(errors="replace"), str(path)),
+        lambda path: UnitSpec.from_json(path.read_text(errors="replace"), str(path)),
         lambda: [TEXT.encode()],
     ),
 ]

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imagination.scenes.building_blocks.pieces import Placed, rectangle_at
-from imagination.scenes.procedural.furnishing.groups import upon
+from imagination.scenes.procedural.furnishing.groups import on_top_of
 from imagination.scenes.procedural.furnishing.placement import RoomFloor, extent, is_flat, moved, wall_pose
 from imagination.scenes.procedural.furniture.stock import Stock
 
@@ -43,7 +43,7 @@ class Furnisher:
         Returns:
             the wall, None if the group fitted nowhere.
         """
-        standing = [thing for thing in group if thing.z == 0 and not is_flat(thing)]
+        standing = [obj for obj in group if obj.z == 0 and not is_flat(obj)]
         low, high = extent(standing)
         for _ in range(tries):
             side = int(self.rng.choice(sides))
@@ -75,36 +75,36 @@ class Furnisher:
                 return True
         return False
 
-    def _put(self, things: list[Placed], chairs: list[Placed]) -> bool:
+    def _put(self, objects: list[Placed], chairs: list[Placed]) -> bool:
         """Let things stand where they are with those of their chairs that fit; refuse if most of these do not."""
         # a rug that does not fit is left out, the rest stays
-        things = [thing for thing in things if not is_flat(thing) or self.floor.inside(thing.footprint())]
-        if not self.floor.fits(things):
+        objects = [obj for obj in objects if not is_flat(obj) or self.floor.inside(obj.footprint())]
+        if not self.floor.fits(objects):
             return False
-        if 2 * sum(self.floor.fits([chair], beside=things) for chair in chairs) < len(chairs):
+        if 2 * sum(self.floor.fits([chair], next_to=objects) for chair in chairs) < len(chairs):
             return False
-        self.floor.put(things)
+        self.floor.put(objects)
         for chair in chairs:
-            if self.floor.fits([chair], beside=things):
+            if self.floor.fits([chair], next_to=objects):
                 self.floor.put([chair])
         return True
 
     def stand(self, label: str, chance: float = 1.0, clear: float = 0.0, topped: Sequence[str] = ()) -> None:
         """By chance, put one thing against a wall, with smaller things on it."""
         if self.stock.chance(chance):
-            thing = Placed(self.stock.piece(label))
-            self.against_wall([thing, *upon(thing, self.stock, topped, 0.4)], clear=clear)
+            obj = Placed(self.stock.piece(label))
+            self.against_wall([obj, *on_top_of(obj, self.stock, topped, 0.4)], clear=clear)
 
     def loose(self, label: str, chance: float = 1.0) -> None:
         """By chance, put one thing somewhere, turned by any angle: near a wall or in the room."""
         if not self.stock.chance(chance):
             return
         # the pose of its own frame is turned, so that its back is not quite against the wall
-        thing = Placed(self.stock.piece(label), 0.0, 0.0, float(self.rng.normal(0, 0.35)))
+        obj = Placed(self.stock.piece(label), 0.0, 0.0, float(self.rng.normal(0, 0.35)))
         if self.stock.chance(0.65):
-            self.against_wall([thing])
+            self.against_wall([obj])
         else:
-            self.freely([thing], turned=True)
+            self.freely([obj], turned=True)
 
     def hang(self, count: int) -> None:
         """Hang pictures where the wall is free."""

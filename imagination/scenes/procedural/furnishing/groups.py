@@ -36,20 +36,20 @@ def at_seat(chair: Piece, seat: Seat, stock: Stock, turn: float) -> Placed:
     return Placed(chair, float(x), float(y), yaw)
 
 
-def beside(anchor: Piece, thing: Piece, side: float, gap: float = 0.03) -> Placed:
+def next_to(anchor: Piece, obj: Piece, side: float, gap: float = 0.03) -> Placed:
     """A thing to the left (-1) or right (1) of another, their backs in line."""
-    x = anchor.high[0] + gap - thing.low[0] if side > 0 else anchor.low[0] - gap - thing.high[0]
-    return Placed(thing, float(x), float(anchor.low[1] - thing.low[1]))
+    x = anchor.high[0] + gap - obj.low[0] if side > 0 else anchor.low[0] - gap - obj.high[0]
+    return Placed(obj, float(x), float(anchor.low[1] - obj.low[1]))
 
 
-def before(anchor: Piece, thing: Piece, gap: float, yaw: float = 0.0) -> Placed:
+def before(anchor: Piece, obj: Piece, gap: float, yaw: float = 0.0) -> Placed:
     """A thing in front of another, turned by `yaw` about itself."""
-    turned = Placed(thing, 0.0, 0.0, yaw).footprint()
+    turned = Placed(obj, 0.0, 0.0, yaw).footprint()
     middle = (anchor.low[0] + anchor.high[0]) / 2 - (turned[:, 0].min() + turned[:, 0].max()) / 2
-    return Placed(thing, float(middle), float(anchor.high[1] + gap - turned[:, 1].min()), yaw)
+    return Placed(obj, float(middle), float(anchor.high[1] + gap - turned[:, 1].min()), yaw)
 
 
-def upon(support: Placed, stock: Stock, labels: Sequence[str], share: float) -> list[Placed]:
+def on_top_of(support: Placed, stock: Stock, labels: Sequence[str], share: float) -> list[Placed]:
     """Things standing on a piece's surfaces, apart from each other.
 
     Args:
@@ -58,30 +58,30 @@ def upon(support: Placed, stock: Stock, labels: Sequence[str], share: float) -> 
         labels: of the things to choose from.
         share: of the surface's length that is tried, in steps of 0.3 m.
     """
-    things: list[Placed] = []
+    objects: list[Placed] = []
     for surface in support.piece.surfaces:
         slots = int((surface.x1 - surface.x0) / 0.3)
         for slot in range(slots):
             if not labels or not stock.chance(share):
                 continue
-            thing = stock.piece(labels[int(stock.rng.integers(len(labels)))])
+            obj = stock.piece(labels[int(stock.rng.integers(len(labels)))])
             yaw = float(stock.rng.normal(0, 0.3))
-            placed = _on(surface, thing, slot, slots, yaw, float(stock.rng.random()))
+            placed = _on(surface, obj, slot, slots, yaw, float(stock.rng.random()))
             if placed is not None:
-                things.append(placed.within(support.x, support.y, support.yaw, support.z))
-    return things
+                objects.append(placed.within(support.x, support.y, support.yaw, support.z))
+    return objects
 
 
-def _on(surface: Surface, thing: Piece, slot: int, slots: int, yaw: float, share: float) -> Placed | None:
+def _on(surface: Surface, obj: Piece, slot: int, slots: int, yaw: float, share: float) -> Placed | None:
     """A thing within one of the slots of a surface, None if it is too large."""
-    corners = Placed(thing, 0.0, 0.0, yaw).footprint()
+    corners = Placed(obj, 0.0, 0.0, yaw).footprint()
     low, high = corners.min(axis=0), corners.max(axis=0)
     width = (surface.x1 - surface.x0) / slots
     spare = surface.y1 - surface.y0 - (high[1] - low[1])
     if spare < 0 or high[0] - low[0] > width:
         return None
     x = surface.x0 + (slot + 0.5) * width - (low[0] + high[0]) / 2
-    return Placed(thing, float(x), float(surface.y0 + spare * share - low[1]), yaw, surface.z)
+    return Placed(obj, float(x), float(surface.y0 + spare * share - low[1]), yaw, surface.z)
 
 
 def bed_group(stock: Stock, label: str) -> list[Placed]:
@@ -94,7 +94,7 @@ def bed_group(stock: Stock, label: str) -> list[Placed]:
     both = label == "double_bed" and stock.chance(0.8)
     sides = [-1.0, 1.0] if both else [float(stock.rng.choice([-1, 1]))]
     for side in sides:
-        place = beside(bed, stand, side)
+        place = next_to(bed, stand, side)
         group.append(place)
         if stock.chance(0.75):
             surface = max(stand.surfaces, key=lambda surface: surface.z)
@@ -102,7 +102,7 @@ def bed_group(stock: Stock, label: str) -> list[Placed]:
             lamp = Placed(stock.piece("table_lamp"), *middle, 0.0, surface.z)
             group.append(lamp.within(place.x, place.y, place.yaw, place.z))
         else:
-            group += upon(place, stock, ["books", "vase"], 0.7)
+            group += on_top_of(place, stock, ["books", "vase"], 0.7)
     return group
 
 
@@ -112,17 +112,17 @@ def desk_group(stock: Stock) -> tuple[list[Placed], list[Placed]]:
     office = stock.chance(0.75)
     chair = stock.piece("office_chair" if office else "chair")
     (seat,) = desk.seats
-    things = [Placed(desk)]
+    objects = [Placed(desk)]
     surface = desk.surfaces[0]
     monitor = stock.piece("monitor")
     if stock.chance(0.8) and surface.y1 - surface.y0 > monitor.high[1] - monitor.low[1]:
-        things.append(Placed(monitor, seat.x, float(surface.y0 - monitor.low[1]), 0.0, surface.z))
+        objects.append(Placed(monitor, seat.x, float(surface.y0 - monitor.low[1]), 0.0, surface.z))
     far = [
         t
-        for t in upon(things[0], stock, ["books", "vase", "table_lamp", "books"], 0.35)
+        for t in on_top_of(objects[0], stock, ["books", "vase", "table_lamp", "books"], 0.35)
         if abs(t.x - seat.x) > 0.5
     ]
-    return things + far, [at_seat(chair, seat, stock, 0.35 if office else 0.12)]
+    return objects + far, [at_seat(chair, seat, stock, 0.35 if office else 0.12)]
 
 
 def dining_group(stock: Stock, most: int) -> tuple[list[Placed], list[Placed]]:
@@ -133,10 +133,10 @@ def dining_group(stock: Stock, most: int) -> tuple[list[Placed], list[Placed]]:
     seats = [seat for seat in table.seats if seat.width > width + 0.01]
     order = [seats[int(number)] for number in np.sort(stock.rng.permutation(len(seats))[:most])]
     chairs = [at_seat(chair, seat, stock, 0.07) for seat in order if stock.chance(0.94)]
-    things = [Placed(table)]
+    objects = [Placed(table)]
     if stock.chance(0.7):
-        things += upon(things[0], stock, ["vase", "bowl", "bowl", "books"], 0.22)
-    return things, chairs
+        objects += on_top_of(objects[0], stock, ["vase", "bowl", "bowl", "books"], 0.22)
+    return objects, chairs
 
 
 def sofa_group(stock: Stock, rich: bool) -> list[Placed]:
@@ -144,7 +144,7 @@ def sofa_group(stock: Stock, rich: bool) -> list[Placed]:
     sofa, table = stock.piece("sofa"), stock.piece("coffee_table")
     group = [Placed(sofa)]
     place = before(sofa, table, float(stock.rng.uniform(0.32, 0.5)))
-    group += [place, *upon(place, stock, ["books", "bowl", "vase"], 0.4)]
+    group += [place, *on_top_of(place, stock, ["books", "bowl", "vase"], 0.4)]
     if rich:
         chair, side = stock.piece("armchair"), float(stock.rng.choice([-1, 1]))
         turn = side * (np.pi / 2 + stock.rng.normal(0, 0.2))

@@ -76,24 +76,24 @@ class RoomFloor:
         row, column = int((y - self.room.y0) / CELL), int((x - self.room.x0) / CELL)
         return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
 
-    def fits(self, things: Sequence[Placed], beside: Iterable[Placed] = ()) -> bool:
+    def fits(self, objects: Sequence[Placed], next_to: Iterable[Placed] = ()) -> bool:
         """Whether things may stand where they are; `beside` are those that they may reach under."""
-        excused = {id(thing) for thing in beside}
-        others = [thing for thing in self.placed if id(thing) not in excused and not is_flat(thing)]
-        for thing in things:
-            if is_flat(thing):
+        excused = {id(obj) for obj in next_to}
+        others = [obj for obj in self.placed if id(obj) not in excused and not is_flat(obj)]
+        for obj in objects:
+            if is_flat(obj):
                 continue
-            corners = thing.footprint()
-            tall = thing.z + thing.piece.high[2] > TALL and (thing.z == 0 or thing.z > TALL)
+            corners = obj.footprint()
+            tall = obj.z + obj.piece.high[2] > TALL and (obj.z == 0 or obj.z > TALL)
             if tall and any(overlap(corners, zone) for zone in self.windows):
                 return False
-            if thing.z > 0:  # stands on another of the same group, or hangs on the wall above it
+            if obj.z > 0:  # stands on another of the same group, or hangs on the wall above it
                 continue
             if not self.inside(corners) or any(overlap(corners, zone) for zone in self.kept_clear):
                 return False
             if any(overlap(corners, other.footprint()) for other in others):
                 return False
-        return self._passable(things)
+        return self._passable(objects)
 
     def inside(self, corners: Corners) -> bool:
         """Whether a rectangle lies within the room's walls."""
@@ -104,17 +104,17 @@ class RoomFloor:
         )
         return bool(above.all() and below.all())
 
-    def _with(self, things: Iterable[Placed]) -> Bool[np.ndarray, "h w"]:
+    def _with(self, objects: Iterable[Placed]) -> Bool[np.ndarray, "h w"]:
         """The cells a robot's centre cannot be in."""
         blocked = self._blocked.copy()
-        for thing in things:
-            corners = (thing.footprint(self._radius) - (self.room.x0, self.room.y0)) / CELL - 0.5
+        for obj in objects:
+            corners = (obj.footprint(self._radius) - (self.room.x0, self.room.y0)) / CELL - 0.5
             cv2.fillConvexPoly(blocked, np.round(corners * 16).astype(np.int32), 1, shift=4)
         return blocked > 0
 
-    def _passable(self, things: Sequence[Placed]) -> bool:
+    def _passable(self, objects: Sequence[Placed]) -> bool:
         """Whether all doors of the room stay joined, and enough of the floor with them."""
-        free = ~self._with([thing for thing in things if thing.z == 0 and not is_flat(thing)])
+        free = ~self._with([obj for obj in objects if obj.z == 0 and not is_flat(obj)])
         _, parts = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
         if not self._doorsteps:
             return bool(free.any())
@@ -125,10 +125,10 @@ class RoomFloor:
         reached = int((parts == names.pop()).sum())
         return bool(reached >= 0.75 * free.sum() and reached >= FREE_SHARE * free.size)
 
-    def put(self, things: Sequence[Placed]) -> None:
+    def put(self, objects: Sequence[Placed]) -> None:
         """Let things stand where they are."""
-        self.placed += things
-        self._blocked = self._with([thing for thing in things if thing.z == 0 and not is_flat(thing)]).astype(
+        self.placed += objects
+        self._blocked = self._with([obj for obj in objects if obj.z == 0 and not is_flat(obj)]).astype(
             np.uint8
         )
 
@@ -139,8 +139,7 @@ class RoomFloor:
     def clear_above(self, corners: Corners, low: float) -> bool:
         """Whether nothing placed reaches above height `low` over a rectangle."""
         return not any(
-            thing.z + thing.piece.high[2] > low and overlap(corners, thing.footprint())
-            for thing in self.placed
+            obj.z + obj.piece.high[2] > low and overlap(corners, obj.footprint()) for obj in self.placed
         )
 
     def wall_is_free(self, picture: Placed) -> bool:
@@ -151,20 +150,20 @@ class RoomFloor:
         )
 
 
-def is_flat(thing: Placed) -> bool:
+def is_flat(obj: Placed) -> bool:
     """Whether a thing lies flat on the floor, so that others stand on it."""
-    return bool(thing.piece.high[2] + thing.z <= FLAT)
+    return bool(obj.piece.high[2] + obj.z <= FLAT)
 
 
 def extent(group: Sequence[Placed]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
     """Smallest and largest x, y of a group's footprints."""
-    corners = np.concatenate([thing.footprint() for thing in group])
+    corners = np.concatenate([obj.footprint() for obj in group])
     return corners.min(axis=0), corners.max(axis=0)
 
 
 def moved(group: Sequence[Placed], x: float, y: float, yaw: float, z: float = 0.0) -> list[Placed]:
     """A group, each thing's place being relative to a frame at (x, y, z) turned by `yaw`."""
-    return [thing.within(x, y, yaw, z) for thing in group]
+    return [obj.within(x, y, yaw, z) for obj in group]
 
 
 def wall_pose(

@@ -7,11 +7,11 @@ from imagination.scenes.procedural.floor_plan.plan import Plan, RoomKind
 from imagination.scenes.procedural.furnishing.furnisher import Furnisher
 from imagination.scenes.procedural.furnishing.groups import (
     bed_group,
-    beside,
     desk_group,
     dining_group,
+    next_to,
+    on_top_of,
     sofa_group,
-    upon,
 )
 from imagination.scenes.procedural.furnishing.placement import RoomFloor
 from imagination.scenes.procedural.furniture.stock import Stock
@@ -77,8 +77,8 @@ def _dining(room: Furnisher) -> None:
 def _table(room: Furnisher, most: int) -> Piece | None:
     """A dining table: in the room if it fits there, else with its side to a wall; returns the kind of chair at it."""
     for _ in range(3):
-        things, chairs = dining_group(room.stock, most)
-        if room.freely(things, chairs, tries=16) or room.against_wall(things, chairs, tries=16) is not None:
+        objects, chairs = dining_group(room.stock, most)
+        if room.freely(objects, chairs, tries=16) or room.against_wall(objects, chairs, tries=16) is not None:
             return chairs[0].piece if chairs else None
     return None
 
@@ -91,8 +91,8 @@ def _kitchen(room: Furnisher) -> None:
         units = stock.piece("wall_units")
         if units.high[0] <= counter.high[0]:
             group.append(Placed(units, 0.0, float(counter.low[1] - units.low[1]), 0.0, 1.42))
-    group += upon(group[0], stock, ["bowl", "vase", "books"], 0.4)
-    cold = beside(counter, fridge, float(room.rng.choice([-1, 1])))
+    group += on_top_of(group[0], stock, ["bowl", "vase", "books"], 0.4)
+    cold = next_to(counter, fridge, float(room.rng.choice([-1, 1])))
     if room.against_wall([*group, cold], clear=0.7) is None:
         # what is too long is tried again without its fridge, then with other, mostly shorter units
         for run in (group, *([Placed(stock.piece("kitchen_counter"))] for _ in range(3))):

@@ -59,7 +59,7 @@ class RayLauncher(Launcher):
             ray.init(address=self.address, include_dashboard=False if self.address == "local" else None)
         try:
             # a process for each member, so that none inherits another's state
-            remote = ray.remote(max_calls=1, **self.options)(run_member)
+            remote = ray.remote(max_calls=1, **self.options)(run_sweep_job)
             shared = ray.put((self.context, self.config, self.task, Singleton.get_state(), os.getcwd()))
             tasks = [
                 remote.remote(shared, list(overrides), initial_job_idx + number)
@@ -82,7 +82,7 @@ class RayLauncher(Launcher):
         return results
 
 
-def run_member(shared: Any, overrides: list[str], number: int) -> JobReturn:
+def run_sweep_job(shared: Any, overrides: list[str], number: int) -> JobReturn:
     """Run one member in a Ray worker, as Hydra's own launchers do."""
     context, config, task, singletons, folder = shared
     os.chdir(folder)

@@ -1,4 +1,4 @@
-"""A callback that counts the rounds done."""
+"""A callback that counts the epochs done."""
 
 from pathlib import Path
 

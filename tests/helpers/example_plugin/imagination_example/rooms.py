@@ -34,12 +34,12 @@ class BoxRooms:
         side = 4.0 + 0.5 * int(scene.rpartition("_")[2])
         outside = box(side, side, 2.6)
         room = Solid(outside.vertices, outside.faces[:, ::-1])  # seen from inside
-        things = [
+        objects = [
             _placed("building", room, (0.8, 0.8, 0.7)),
             _placed("seat", box(0.5, 0.5, 0.8), (0.7, 0.2, 0.2)),
         ]
-        mesh = assemble(things)  # a thing's number is its instance id; the building is 0
-        seat = object_of(1, things[1], "chair")
+        mesh = assemble(objects)  # a thing's number is its instance id; the building is 0
+        seat = object_of(1, objects[1], "chair")
         return Scene(scene, mesh, Lighting(), (seat,), free_space(mesh, 0.0, self.robot_radius))
 
     def fingerprint(self, scene: str) -> str:
@@ -49,4 +49,4 @@ class BoxRooms:
 def _placed(label: str, solid: Solid, colour: tuple[float, float, float]) -> Placed:
     piece = Assembly(label)
     piece.add(solid, Finish(Material(colour)))
-    return Placed(piece.finished())
+    return Placed(piece.postprocess())
