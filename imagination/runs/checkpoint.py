@@ -144,12 +144,12 @@ class Checkpoint:
     def record(self) -> dict[str, Any]:
         """What `TrainingStats` counted, of the whole run where its last checkpoint lies beside; empty without it.
 
-        Beside it `flat`, whether the training ended because its score was flat (`UntilFlat`).
+        Beside it `flat`, whether the training ended because its score was flat (`EarlyStopping`).
         """
         last = self.path.with_name(LAST.name)
         callbacks = (read_state(last) if last.is_file() else self.state).get("callbacks", {})
         counts: dict[str, Any] = callbacks.get("TrainingStats", {})
-        return counts and {**counts, "flat": callbacks.get("UntilFlat", {}).get("flat", False)}
+        return counts and {**counts, "flat": callbacks.get("EarlyStopping", {}).get("flat", False)}
 
     @property
     def scenes(self) -> dict[str, str]:

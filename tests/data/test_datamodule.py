@@ -94,12 +94,12 @@ def test_an_unknown_category_names_those_that_exist(tmp_path: Path) -> None:
 
 
 def test_a_category_that_no_home_contains_is_refused(tmp_path: Path) -> None:
-    as_plain = data(tmp_path)
+    made = data(tmp_path)
     lamps = CategoryTable([*TABLE.rows, Category("piano", (0, 0, 0), {"rooms": ["piano"]})])
     asks = Observer(
         **{
             **{
-                name: getattr(as_plain.observer, name)
+                name: getattr(made.observer, name)
                 for name in ("source", "camera", "sensor", "ego", "obstacles", "ground_truth_spec", "cache")
             },
             "categories": lamps,

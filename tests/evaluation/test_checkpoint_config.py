@@ -88,7 +88,7 @@ def test_networks_stay_as_they_were_trained(chair: Checkpoint, change: str) -> N
 
 def test_the_registration_rule_can_be_swept(chair: Checkpoint) -> None:
     config = evaluation_config([chair], ["ckpt=best.ckpt", "mapping/registration=overwrite"])
-    assert config.evaluation.approaches.imagination.rule._target_.endswith("Overwrite")
+    assert config.evaluation.approaches.imagination.rule._target_.endswith("Latest")
     assert config.evaluation.approaches.seg_gt.rule._target_.endswith("Max")
 
 

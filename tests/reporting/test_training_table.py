@@ -25,7 +25,7 @@ def counts(epochs: int) -> dict[str, Any]:
 def test_every_network_tells_what_it_took(tmp_path: Path) -> None:
     network = tmp_path / "network"
     checkpoint(network / "last.ckpt", "hrnet", "images", ["chair", "bed"], {
-        "TrainingStats": counts(9), "UntilFlat": {"flat": True},
+        "TrainingStats": counts(9), "EarlyStopping": {"flat": True},
     })  # fmt: skip
     best = checkpoint(
         network / "best.ckpt", "hrnet", "images", ["chair", "bed"], {"TrainingStats": counts(5)}

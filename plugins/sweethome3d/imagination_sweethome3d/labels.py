@@ -130,10 +130,10 @@ def only_sounds(texts: Sequence[str]) -> bool:
 def _kind_by_words(folded: str, kinds: Iterable[str]) -> str | None:
     for kind in kinds:
         for word in WORDS[kind]:
-            as_plain = word.removeprefix("*")
-            spaced = as_plain[0] < "\u0590"  # other scripts have no spaces between words
-            start = r"\b" if spaced and as_plain == word else ""
-            if re.search(f"{start}{as_plain}" + (r"\b" if spaced else ""), folded):
+            plain = word.removeprefix("*")
+            spaced = plain[0] < "\u0590"  # other scripts have no spaces between words
+            start = r"\b" if spaced and plain == word else ""
+            if re.search(f"{start}{plain}" + (r"\b" if spaced else ""), folded):
                 return kind
     return None
 
