@@ -1,1 +1,1 @@
-"""Spatial imagination with semantic cognition: train, compare and use networks that imagine top-down maps."""
+"""Spatial imagination with semantic cognition: train, evaluate and deploy networks that predict top-down maps."""

@@ -1,4 +1,4 @@
-"""Fetch or list what plugins need and the program does not carry: `python -m imagination.assets sweethome3d`."""
+"""Download or list the assets of plugins: `python -m imagination.assets sweethome3d`."""
 
 import sys
 from pathlib import Path
@@ -8,23 +8,28 @@ from imagination.config.plugin_registry import provided
 from imagination.utils.errors import UserError, check_choice
 
 GROUP = "assets"
-"""Folder of a plugin's conf tree: each file's `_target_` is a provider without arguments."""
+"""Config group in which plugins register providers: the `_target_` of each file is a class without arguments."""
+
 USAGE = "python -m imagination.assets NAME [list=true | list=FOLDER]"
+"""Usage message."""
 
 
 @runtime_checkable
 class Provider(Protocol):
-    """Fetches the assets of one name."""
+    """Provider of assets."""
 
     def fetch(self) -> str:
-        """Fetch them unless they are there; where they are.
+        """Download the assets unless they exist; return a message with their location.
 
         Raises:
-            UserError: if they cannot be had, with how to get them elsewhere.
+            UserError: if the download fails, with another way to get the assets.
         """
 
     def listing(self, folder: Path | None) -> list[str]:
-        """What they hold and what is left out with the reason, a line each; of a folder, what its files become.
+        """Return one line per entry of the assets, with the reason for each entry that is not used.
+
+        Args:
+            folder: folder of scene files to list instead of the assets.
 
         Raises:
             UserError: if there is nothing to list.
@@ -32,27 +37,27 @@ class Provider(Protocol):
 
 
 def main(arguments: list[str]) -> None:
-    """The command.
+    """Run the command.
 
     Raises:
-        UserError: on an unknown name or argument, or what the provider raises.
+        UserError: if a name or an argument is unknown, or the provider fails.
     """
-    known = {name: target for _, name, target in provided(GROUP)}
+    targets = {name: target for _, name, target in provided(GROUP)}
     if not arguments:
-        print(f"{USAGE}\nNAME is one of: {', '.join(sorted(known)) or '(no plugin offers any)'}")
+        print(f"{USAGE}\nNAME is one of: {', '.join(sorted(targets)) or '(no plugin provides assets)'}")
         return
     name, *rest = arguments
-    if not known:
-        raise UserError(f"assets: got {name!r}, but no plugin offers assets; put one into plugins/")
-    check_choice("assets", name, known)
+    if not targets:
+        raise UserError(f"assets: got {name!r}, but no plugin provides assets; add a plugin to plugins/")
+    check_choice("assets", name, targets)
     if len(rest) > 1 or not all(text.startswith("list=") for text in rest):
         raise UserError(f"assets: got {' '.join(rest)}, expected list=true, list=FOLDER or nothing")
     from hydra.utils import get_class
 
-    provider: Provider = get_class(known[name])()
+    provider: Provider = get_class(targets[name])()
     if rest:
-        asked = rest[0].removeprefix("list=")
-        print("\n".join(provider.listing(None if asked == "true" else Path(asked))))
+        value = rest[0].removeprefix("list=")
+        print("\n".join(provider.listing(None if value == "true" else Path(value))))
     else:
         print(provider.fetch())
 

@@ -1,6 +1,6 @@
 """Evaluate checkpoints: `python -m imagination.evaluate ckpt=outputs/chair_unet/latest/checkpoints/best.ckpt`.
 
-The config is that of the (first) checkpoint's run, changed by the command line; nothing is trained.
+The config is that of the first checkpoint's run with the overrides of the command line; nothing is trained.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from imagination.evaluation.checkpoint_config import check_scenes, evaluation_config
 from imagination.runs.command import command
-from imagination.runs.folder import CONFIG, create_folder, now, within
+from imagination.runs.folder import CONFIG, create_folder, resolved_path, timestamp
 from imagination.runs.logging import logging_to
 from imagination.utils.atomic_io import remove_parts, write_errors_reported, write_text
 from imagination.utils.errors import UserError
@@ -31,30 +31,30 @@ log = logging.getLogger(__name__)
 
 @command("evaluate")
 def main(config: DictConfig) -> None:
-    """Evaluate the checkpoints that `ckpt` names."""
+    """Evaluate the checkpoints in `ckpt`."""
     if OmegaConf.is_missing(config, "ckpt") or not config.ckpt:
         raise UserError(
             "ckpt: got none, expected a checkpoint: ckpt=outputs/<experiment>/latest/checkpoints/best.ckpt"
         )
-    from imagination.runs.checkpoint import Checkpoint  # with it comes torch, which --help does without
+    from imagination.runs.checkpoint import Checkpoint  # imports torch, which --help does not need
 
-    job = None if OmegaConf.is_missing(config.paths, "run") else Path(config.paths.run)
+    job_folder = None if OmegaConf.is_missing(config.paths, "run") else Path(config.paths.run)
     paths = [config.ckpt] if isinstance(config.ckpt, str) else list(config.ckpt)
     checkpoints = [Checkpoint.read(path) for path in paths]
     config = evaluation_config(checkpoints, list(HydraConfig.get().overrides.task))
-    protocol = instantiate(config.evaluation)  # refuses what is out of range before anything is written
-    folder = new_folder(config, job)
+    protocol = instantiate(config.evaluation)  # checks the settings before anything is written
+    folder = results_folder(config, job_folder)
     config.paths.run = str(folder)
-    found = [str(within(Path(path))) for path in paths]  # `latest` will be another one tomorrow
-    config.ckpt = found[0] if isinstance(config.ckpt, str) else found
+    resolved = [str(resolved_path(Path(path))) for path in paths]  # `latest` may point to another run later
+    config.ckpt = resolved[0] if isinstance(config.ckpt, str) else resolved
     with logging_to(folder / "run.log"):
         write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
         try:
             evaluate(config, protocol, checkpoints, folder)
         except KeyboardInterrupt:
             log.warning(
-                "Interrupted; %s holds no complete result. Runs that are done stay in the cache: the same command "
-                "goes on from there.",
+                "Interrupted; the results in %s are incomplete. Finished trials stay in the cache; run the same "
+                "command again to continue.",
                 folder,
             )
             sys.exit(130)
@@ -64,7 +64,7 @@ def main(config: DictConfig) -> None:
 def evaluate(
     config: DictConfig, protocol: MappingProtocol, checkpoints: Sequence[Checkpoint], folder: Path
 ) -> None:
-    """Load the networks, look at the scenes, write tables, figures and maps."""
+    """Load the networks, evaluate them on all scenes, and write tables, figures and maps."""
     import torch
 
     from imagination.evaluation import run
@@ -77,8 +77,8 @@ def evaluate(
     device = "cuda" if torch.cuda.is_available() else "cpu"
     networks: list[Any] = [checkpoint.model() for checkpoint in checkpoints]
     if config.ade20k:
-        observer, mirrored = data.observer, config.scale.tta_hflip
-        networks.append(PublicHRNet.load(Path(config.ade20k), observer.categories, observer.camera, mirrored))
+        observer, hflip = data.observer, config.scale.tta_hflip
+        networks.append(PublicHRNet.load(Path(config.ade20k), observer.categories, observer.camera, hflip))
     try:
         evaluation = run.evaluate(protocol, data, [network.to(device) for network in networks], folder)
     finally:
@@ -88,14 +88,14 @@ def evaluate(
     )
 
 
-def new_folder(config: DictConfig, job: Path | None) -> Path:
-    """A folder for the results: outputs/<name>/evaluate_<date_time>, or that of a sweep's member."""
-    if job is None:
-        return create_folder(Path(config.paths.outputs) / config.name, f"evaluate_{now()}")
-    with write_errors_reported(job):
-        job.mkdir(parents=True, exist_ok=True)
-    remove_parts(job)  # of an evaluation that was killed
-    return job
+def results_folder(config: DictConfig, job_folder: Path | None) -> Path:
+    """Create and return the results folder: that of a sweep's job, or outputs/<name>/evaluate_<date_time>."""
+    if job_folder is None:
+        return create_folder(Path(config.paths.outputs) / config.name, f"evaluate_{timestamp()}")
+    with write_errors_reported(job_folder):
+        job_folder.mkdir(parents=True, exist_ok=True)
+    remove_parts(job_folder)  # left by an evaluation that was killed
+    return job_folder
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A semantic map from a recording: `python -m imagination.map recording=tum recording.path=FOLDER unit=chair.onnx`."""
+"""Map a recording: `python -m imagination.map recording=tum recording.path=FOLDER unit=chair.onnx`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from imagination.deployment import mapper_from_config
 from imagination.mapping.semantic_mapper import SemanticMapper
 from imagination.recordings.recording import Frames, Recording
 from imagination.runs.command import command
-from imagination.runs.folder import CONFIG, create_folder, now, point_latest
+from imagination.runs.folder import CONFIG, create_folder, point_latest, timestamp
 from imagination.runs.logging import logging_to
 from imagination.utils.atomic_io import write_text
 from imagination.utils.errors import UserError
@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 
 def validate(config: DictConfig) -> None:
-    """Check what the user may have got wrong before anything is read.
+    """Check the values of the config before any file is read.
 
     Raises:
         UserError: on the first value that is missing or out of range.
@@ -35,22 +35,22 @@ def validate(config: DictConfig) -> None:
 
 @command("map", validate)
 def main(config: DictConfig) -> None:
-    """Map a recording."""
-    module = mapper_from_config.module_of(config)
+    """Map all frames of a recording and save the map."""
+    predictor = mapper_from_config.predictor_of(config)
     recording: Recording = instantiate(config.recording, _convert_="all")
     viewer: Viewer = instantiate(config.viewer)
-    mapper = mapper_from_config.mapper_of(config, module, recording.camera, recording.world)
-    folder = create_folder(Path(config.paths.outputs) / config.name, now())
+    mapper = mapper_from_config.mapper_of(config, predictor, recording.camera, recording.world)
+    folder = create_folder(Path(config.paths.outputs) / config.name, timestamp())
     config.paths.run = str(folder)
     with logging_to(folder / "run.log"):
         write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
-        frames = Frames(recording, config.max_speed)
+        frames = Frames(recording)
         viewer.open(folder, mapper)
         try:
-            status = run(mapper, frames, viewer)
+            status = map_frames(mapper, frames, viewer)
         finally:
             try:
-                if frames.mapped:  # whatever ended it
+                if frames.mapped:  # also after an error
                     mapper.save(folder)
                     point_latest(folder)
                     log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
@@ -59,42 +59,42 @@ def main(config: DictConfig) -> None:
     sys.exit(status)
 
 
-def run(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
-    """Register every frame; the exit code: 0, 1 if it ends before its end, 130 after Ctrl-C.
+def map_frames(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
+    """Map every frame and return the exit code: 0, 1 if an error ends the recording early, 130 after Ctrl-C.
 
     Raises:
-        UserError: if no frame could be mapped.
+        UserError: if no frame was mapped.
     """
-    status, outside, refused = 0, 0, ""
+    status, outside, first_refusal = 0, 0, ""
     try:
         for frame in frames:
             try:
                 update = mapper.update(frame.rgb, frame.depth, frame.camera_to_world)
             except UserError as error:
-                frames.refuse("refused by the mapper (see the first below)")
-                refused = refused or str(error)
+                frames.refuse("refused by the mapper (see the first reason below)")
+                first_refusal = first_refusal or str(error)
                 continue
             except BaseException:
-                frames.refuse("ended while it was mapped")
+                frames.refuse("interrupted while it was mapped")
                 raise
             outside += update.outside
             viewer.show(frame.stamp, update)
-    except UserError as error:  # the recording is damaged, or a viewer cannot write
+    except UserError as error:  # damaged recording, or a viewer that cannot write
         status = 1
-        log.error("error: %s%s", error, "; what came before it is mapped and saved" * bool(frames.mapped))
+        log.error("error: %s%s", error, "; the frames before it are mapped and saved" * bool(frames.mapped))
     except KeyboardInterrupt:
         status = 130
         log.warning("Interrupted; the map of %d frames is saved", frames.mapped)
-    if refused:
-        log.warning("The first frame that was refused: %s", refused)
+    if first_refusal:
+        log.warning("Reason of the first refused frame: %s", first_refusal)
     if status == 130 and not frames.mapped:
         sys.exit(status)
     if not frames.mapped:
-        raise UserError(f"recording: no frame could be mapped. {frames.summary()}")
+        raise UserError(f"recording: no frame was mapped. {frames.summary()}")
     log.info("%s", frames.summary())
     if outside:
         log.warning(
-            "%d cells lie outside the map of fixed size and are lost; enlarge or move it (extent, centre)",
+            "%d observed cells are outside the map of fixed size; enlarge or move the map (extent, centre)",
             outside,
         )
     return status

@@ -1,4 +1,4 @@
-"""List plugins with what each adds, `check=true` imports their code: `python -m imagination.plugins`."""
+"""List plugins with the options they add: `python -m imagination.plugins [check=true]`."""
 
 import sys
 from pathlib import Path
@@ -8,26 +8,27 @@ from imagination.utils.errors import UserError
 
 
 def main(arguments: list[str]) -> int:
-    """List all plugins; the exit code is 1 if `check=true` found a broken one.
+    """List all plugins; with `check=true`, import their code and return the exit code 1 if one is broken.
 
     Raises:
-        UserError: on an unknown argument.
+        UserError: if an argument is unknown.
     """
     if unknown := set(arguments) - {"check=true", "check=false"}:
         raise UserError(f"plugins: got {' '.join(sorted(unknown))}, expected check=true or nothing")
-    deep = "check=true" in arguments
+    import_code = "check=true" in arguments
     activate()
-    found = discover()
-    for plugin in found:
-        if deep and not plugin.problem:
+    plugins = discover()
+    for plugin in plugins:
+        if import_code and not plugin.problem:
             plugin.problem = check(plugin)
-        verdict = f"left out: {plugin.problem}" if plugin.problem else "adds " + ", ".join(plugin.options)
-        print(f"{plugin.name}  ({plugin.origin})\n    {verdict}")
-    if not found:
+        status = f"left out: {plugin.problem}" if plugin.problem else "adds " + ", ".join(plugin.options)
+        print(f"{plugin.name}  ({plugin.origin})\n    {status}")
+    if not plugins:
         print(
-            f"No plugins: neither a folder {Path.cwd() / 'plugins'}/NAME nor a distribution in the group {GROUP}."
+            f"No plugins: found no folder {Path.cwd() / 'plugins'}/NAME and no distribution with the entry point "
+            f"{GROUP}."
         )
-    return int(deep and any(plugin.problem for plugin in found))
+    return int(import_code and any(plugin.problem for plugin in plugins))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Write a data set of views (litdata shards): `python -m imagination.prepare_shards shards=/data/views split=train`."""
+"""Render a dataset of views (litdata shards): `python -m imagination.prepare_shards shards=/data/views split=train`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from imagination.utils.errors import UserError, check_choice, check_range, requi
 from imagination.utils.progress import progress
 from imagination.views.observer import Observer
 
-if TYPE_CHECKING:  # torch takes seconds to import: --help does without
+if TYPE_CHECKING:  # imports torch, which --help does not need
     from imagination.data.shards.writer import ShardSpec
 
 log = logging.getLogger(__name__)
@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 @command("prepare_shards")
 def main(config: DictConfig) -> None:
-    """Render the views of all scenes of a split into shards; scenes that are complete are kept, failures are logged."""
+    """Render the views of all scenes of a split into shards; complete scenes are skipped, failed ones are logged."""
     if OmegaConf.is_missing(config, "shards"):
         raise UserError("shards: got none, expected the folder to write to: shards=/data/views")
     require_extra("litdata", "shards")
@@ -37,40 +37,51 @@ def main(config: DictConfig) -> None:
     observer: Observer = instantiate(config.data.observer)
     split = cast(Split, check_choice("split", config.split, SPLITS))
     sampler, group = instantiate(config.data.sampler), config.scale.update_interval
-    recipe = writer.ShardSpec(sampler, config.seed, config.views, group)
+    spec = writer.ShardSpec(sampler, config.seed, config.views, group)
     folder, scenes = Path(config.shards), observer.source.scenes(split)[config.part :: config.parts]
     folder.mkdir(parents=True, exist_ok=True)
     log_file = folder / f"render_{config.part}_of_{config.parts}.log"
     workers = config.scale.workers
     with logging_to(log_file), writer.at_work(folder):
-        left = writer.unwritten(folder, observer, scenes, recipe)
-        begin, failed = perf_counter(), []
-        with closing(writer.write_scenes(observer, left, folder, recipe, workers)) as done:
-            for scene, problem in progress(done, f"views of scenes ({split})", len(left)):
+        missing = writer.unwritten(folder, observer, scenes, spec)
+        start, failed = perf_counter(), []
+        with closing(writer.write_scenes(observer, missing, folder, spec, workers)) as results:
+            for scene, problem in progress(results, f"views of scenes ({split})", len(missing)):
                 if problem:
                     failed.append(scene)
-                    log.error("%s is left out: %s", scene, problem)
-        seconds = perf_counter() - begin
-        about = writer.write_index(folder, observer, recipe)
-        log_size(folder, about, recipe, len(left) - len(failed), seconds, workers)
+                    log.error("scene %s is left out: %s", scene, problem)
+        seconds = perf_counter() - start
+        index = writer.write_index(folder, observer, spec)
+        log_size(folder, index, spec, len(missing) - len(failed), seconds, workers)
         if failed:
             log.error(
-                "%d scenes failed: %s; run this again to try them once more", len(failed), ", ".join(failed)
+                "%d scenes failed: %s; run the same command again to retry them",
+                len(failed),
+                ", ".join(failed),
             )
-        log.info("Train on them: python -m imagination.train data=shards data.shards=%s", folder)
+        log.info("Train on this dataset: python -m imagination.train data=shards data.shards=%s", folder)
 
 
 def log_size(
-    folder: Path, about: dict[str, Any], recipe: ShardSpec, written: int, seconds: float, workers: int
+    folder: Path, index: dict[str, Any], spec: ShardSpec, written: int, seconds: float, workers: int
 ) -> None:
-    """Log the size of a data set and, where scenes were written, the rate and what a million views would take."""
-    count, size = len(about["scenes"]), sum(path.stat().st_size for path in folder.glob("chunk-*.bin"))
-    views = count * recipe.views
-    log.info("%s: %d scenes, %d views, %.1f kB a view", folder, count, views, size / views / 1e3)
+    """Log the size of a dataset and, if scenes were written, the rendering rate and an estimate for 10^6 views.
+
+    Args:
+        folder: folder of the dataset.
+        index: index of the dataset.
+        spec: specification of the shards.
+        written: number of scenes written by this process.
+        seconds: time for these scenes.
+        workers: number of worker processes.
+    """
+    count, size = len(index["scenes"]), sum(path.stat().st_size for path in folder.glob("chunk-*.bin"))
+    views = count * spec.views
+    log.info("%s: %d scenes, %d views, %.1f kB per view", folder, count, views, size / views / 1e3)
     if written:
-        rate = written * recipe.views / seconds
+        rate = written * spec.views / seconds
         log.info(
-            "%.0f views/s with %d processes, scenes and truth included: a million views take %.1f hours and %.0f GB",
+            "%.0f views/s with %d processes, including scenes and ground truth: 10^6 views need %.1f hours and %.0f GB",
             *(rate, max(1, workers), 1e6 / rate / 3600, size / views * 1e6 / 1e9),
         )
 

@@ -1,4 +1,4 @@
-"""Ground truth of a scene as arrays and pictures: `python -m imagination.render scene=test_0000`."""
+"""Write the ground truth and views of a scene as arrays and images: `python -m imagination.render scene=test_0000`."""
 
 import logging
 import re
@@ -17,7 +17,7 @@ from imagination.reporting.scene_summary import Kernels, choose_views, stack, su
 from imagination.runs.command import command
 from imagination.runs.logging import logging_to
 from imagination.scenes.source import SPLITS, Split
-from imagination.utils.atomic_io import replacing
+from imagination.utils.atomic_io import replacing, write_npz
 from imagination.utils.errors import check_choice, check_range
 from imagination.views.observer import Observer
 
@@ -26,59 +26,51 @@ log = logging.getLogger(__name__)
 
 @command("render")
 def main(config: DictConfig) -> None:
-    """Write the ground truth and some views of one scene."""
+    """Write the ground truth and a sample of views of one scene."""
     check_range("poses", config.poses, 1, 10_000, "views")
     observer: Observer = instantiate(config.data.observer)
     split = cast(Split, check_choice("split", config.split, SPLITS))
     name = config.scene or observer.source.scenes(split)[0]
     folder = Path(config.folder) / folder_name(name)
     try:
-        draw(config, observer, name, folder)
+        write_scene(config, observer, name, folder)
     except KeyboardInterrupt:
-        print(f"Interrupted; not all files of {folder}/ are written. Start again.", file=sys.stderr)
+        print(f"Interrupted; {folder}/ is incomplete. Run the same command again.", file=sys.stderr)
         sys.exit(130)
 
 
 def folder_name(scene: str) -> str:
-    """One folder's name for a scene whose name may be a path, as a file of Habitat's is."""
+    """Return a folder name for a scene, whose name may be a path (Habitat)."""
     return re.sub(r"[^\w.-]+", "_", scene).strip("._")
 
 
-def draw(config: DictConfig, observer: Observer, name: str, folder: Path) -> None:
-    """Write everything about one scene."""
-    scene, truth = observer.scene(name), observer.truth(name)
+def write_scene(config: DictConfig, observer: Observer, name: str, folder: Path) -> None:
+    """Write arrays, images and a summary of one scene."""
+    scene, gt = observer.scene(name), observer.ground_truth(name)
     folder.mkdir(parents=True, exist_ok=True)
     with logging_to(folder / "render.log"):
-        for line in summary(scene, truth, observer.categories):
+        for line in summary(scene, gt, observer.categories):
             log.info(line)
-        sizes = config.kernels.imaginable, config.kernels.neighbourhood
-        kernels = Kernels(*(kernel_cells(size, observer.ego.resolution) for size in sizes))
+        sides = config.kernels.imaginable, config.kernels.neighbourhood
+        kernels = Kernels(*(kernel_cells(side, observer.ego.resolution) for side in sides))
         views = choose_views(observer, name, config.poses, config.seed, kernels)
-        save_arrays(
-            folder / "truth.npz", {**truth.to_arrays(), "categories": np.array(observer.categories.names)}
-        )
-        save_arrays(folder / "views.npz", stack(views))
-        save_figure(folder / "scene.png", visualization.draw_scene(scene, truth, observer.categories, views))
+        write_npz(folder / "truth.npz", {**gt.to_arrays(), "categories": np.array(observer.categories.names)})
+        write_npz(folder / "views.npz", stack(views))
+        save_figure(folder / "scene.png", visualization.draw_scene(scene, gt, observer.categories, views))
         for category in observer.categories.names:
             save_figure(
                 folder / f"{category}.png",
-                visualization.draw_category(scene, truth, observer.categories, category),
+                visualization.draw_category(scene, gt, observer.categories, category),
             )
         save_figure(folder / "views.png", visualization.draw_views(views, observer.ego))
         save_figure(
             folder / "labels.png", visualization.draw_labels(views, observer.ego, observer.categories)
         )
-        log.info("Written: %s/ (truth.npz, views.npz and pictures)", folder)
-
-
-def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write arrays whole or not at all."""
-    with replacing(path) as temporary:
-        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
+        log.info("Written: %s/ (truth.npz, views.npz and images)", folder)
 
 
 def save_figure(path: Path, figure: Figure) -> None:
-    """Write a picture whole or not at all."""
+    """Write a figure atomically."""
     with replacing(path) as temporary:
         figure.savefig(temporary)
 

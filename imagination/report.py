@@ -1,7 +1,7 @@
 """Report on a run, an evaluation, a study or a sweep: `python -m imagination.report outputs/chair_unet/latest`.
 
-Writes report.html into its folder, one page that needs no network, with tables/ (CSV, Markdown, LaTeX) and figures/
-(PNG, PDF). `--docs docs/study` writes a page of Markdown, docs/study.md, with its figures in docs/study/ instead.
+Writes a self-contained page report.html into the folder, with tables/ (CSV, Markdown, LaTeX) and figures/ (PNG, PDF).
+`--docs docs/study` writes a Markdown page docs/study.md with figures in docs/study/ instead.
 """
 
 from __future__ import annotations
@@ -14,33 +14,32 @@ from typing import TYPE_CHECKING
 from imagination.config.user_messages import user_errors_reported
 from imagination.utils.errors import UserError
 
-if TYPE_CHECKING:  # with it comes matplotlib, which --help does without
+if TYPE_CHECKING:  # imports matplotlib, which --help does not need
     from imagination.reporting.content import Content
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Run the command."""
     parser = argparse.ArgumentParser("python -m imagination.report", description=__doc__.partition("\n")[0])
-    # arguments as other programs take them: there is no config to compose here
-    parser.add_argument("folder", type=Path, help="of a run, an evaluation, a study or a sweep")
+    parser.add_argument("folder", type=Path, help="folder of a run, an evaluation, a study or a sweep")
     parser.add_argument(
-        "--docs", type=Path, metavar="PAGE", help="write PAGE.md and figures into PAGE/ instead"
+        "--docs", type=Path, metavar="PAGE", help="write PAGE.md with figures in PAGE/ instead"
     )
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     from imagination.reporting import html, markdown
 
-    content = read(given.folder)
-    written = markdown.write(given.docs, content) if given.docs else html.write(given.folder, content)
+    content = read(options.folder)
+    page = markdown.write(options.docs, content) if options.docs else html.write(options.folder, content)
     for problem in content.problems:
         print(f"incomplete: {problem}", file=sys.stderr)
-    print(f"Report: {written}", file=sys.stderr)
+    print(f"Report: {page}", file=sys.stderr)
 
 
 def read(folder: Path) -> Content:
-    """What there is to report on in a folder.
+    """Read the content of a report from a results folder.
 
     Raises:
-        UserError: if it is no run's, evaluation's, study's or sweep's.
+        UserError: if the folder is not that of a run, an evaluation, a study or a sweep.
     """
     from imagination.reporting.ablation import of_multirun
     from imagination.reporting.content import of_run
@@ -50,7 +49,7 @@ def read(folder: Path) -> Content:
 
     if not folder.is_dir():
         raise UserError(
-            f"report: got {folder}, but there is no such folder; such as outputs/chair_unet/latest"
+            f"report: got {folder}, expected an existing results folder such as outputs/chair_unet/latest"
         )
     if not (folder / CONFIG).is_file() and is_multirun(folder):
         return of_multirun(Multirun(folder))

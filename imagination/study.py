@@ -1,16 +1,12 @@
-"""The paper's whole study in one command: `python -m imagination.study scale=small`.
+"""Run the whole study of the paper: `python -m imagination.study scale=small`.
 
-Trains what the study compares, one run after the other, then evaluates them together. Arguments are overrides, as of
-imagination.train. Started again with the same arguments it goes on where it was: finished runs are left alone, an
-unfinished one is resumed, and the evaluation takes up the scenes that are done. Runs of other commands count as well,
-if they were trained with the same resolved config.
+Trains the networks of the study one after the other, then evaluates them together. Arguments are overrides, as for
+imagination.train. The same command can be repeated: finished runs are reused, an unfinished run is resumed, and the
+evaluation reads finished trials from the cache. Runs of other commands with the same resolved config are reused too.
 """
 
 import json
 import logging
-import shlex
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,88 +14,65 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from imagination.config.overrides import top
+from imagination.config.overrides import override_group
 from imagination.config.validation import validate
 from imagination.evaluation.checkpoint_config import evaluation_config
-from imagination.runs.command import command
-from imagination.runs.finished_trainings import evaluated, newest, planned
-from imagination.runs.folder import BEST, LAST, create_folder, now
+from imagination.runs.command import command, run_command
+from imagination.runs.finished_trainings import is_evaluation_only, train_or_reuse, training_config
+from imagination.runs.folder import create_folder, timestamp
 from imagination.runs.logging import logging_to
 from imagination.utils.errors import UserError
-from imagination.utils.timing import shares, stage
+from imagination.utils.timing import stage, stage_timer
 
 log = logging.getLogger(__name__)
 
-OWN = ("experiments", "compare")
-"""Keys of this command alone."""
+STUDY_KEYS = ("experiments", "compare")
+"""Config keys that only this command reads."""
 
 
 @command("study", validate)
 def main(config: DictConfig) -> None:
-    """Train what is missing, then evaluate."""
-    given = [text for text in HydraConfig.get().overrides.task if top(text) not in OWN]
-    training = [text for text in given if not evaluated(text)]
+    """Train the missing networks, then evaluate all networks together."""
+    overrides = [text for text in HydraConfig.get().overrides.task if override_group(text) not in STUDY_KEYS]
+    training = [text for text in overrides if not is_evaluation_only(text)]
     evaluation = [f"+study={config.compare}"]
-    evaluation += [text for text in given if evaluated(text) or top(text) == "paths"]
-    check(config.experiments, training, evaluation)
+    evaluation += [text for text in overrides if is_evaluation_only(text) or override_group(text) == "paths"]
+    check_evaluation(config.experiments, training, evaluation)
     outputs = Path(config.paths.outputs)
-    with logging_to(create_folder(outputs / "study", now()) / "run.log"):
+    with logging_to(create_folder(outputs / "study", timestamp()) / "run.log"):
         checkpoints = []
         for experiment in config.experiments:
             with stage(experiment):
-                checkpoints.append(str(trained(experiment, training, outputs)))
+                checkpoints.append(str(train_or_reuse(experiment, training, outputs)))
         with stage("evaluation"):
-            _run("evaluate", [f"ckpt={json.dumps(checkpoints)}"], evaluation)
-        parts = ", ".join(f"{name} {seconds / 60:.1f}" for name, seconds in shares.report().items())
-        log.info("Minutes: %s", parts)
+            run_command("evaluate", [f"ckpt={json.dumps(checkpoints)}", *evaluation])
+        times = ", ".join(f"{name} {seconds / 60:.1f}" for name, seconds in stage_timer.report().items())
+        log.info("Minutes: %s", times)
 
 
-def check(experiments: Sequence[str], training: Sequence[str], evaluation: Sequence[str]) -> None:
-    """Find mistakes in what is evaluated at the end before hours of training.
+def check_evaluation(experiments: Sequence[str], training: Sequence[str], evaluation: Sequence[str]) -> None:
+    """Check the settings of the final evaluation before the trainings.
+
+    Args:
+        experiments: names of the experiments.
+        training: overrides of the trainings.
+        evaluation: overrides of the evaluation.
 
     Raises:
-        UserError: if the networks do not go together or a setting of the evaluation is out of range.
+        UserError: if the networks cannot be evaluated together, or a setting of the evaluation is out of range.
     """
     from imagination.evaluation.approaches import NEEDS
-    from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint  # with it comes torch
+    from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint  # imports torch
 
     if not experiments:
-        raise UserError("experiments: got none, expected such as [chair_unet,segmentation_hrnet]")
-    networks = []
+        raise UserError("experiments: got none, expected names such as [chair_unet,segmentation_hrnet]")
+    checkpoints = []
     for experiment in experiments:
-        config = planned(experiment, training)
+        config = training_config(experiment, training)
         validate(config)
-        networks.append(Checkpoint(Path(experiment), {KEY: ConfigInCheckpoint(config).description}))
-    asked = evaluation_config(networks, [f"ckpt={json.dumps(list(experiments))}", *evaluation])
-    instantiate(asked.evaluation).available(NEEDS)
-
-
-def trained(experiment: str, overrides: Sequence[str], outputs: Path) -> Path:
-    """The best checkpoint of a finished run of an experiment with these overrides; trains or resumes where needed."""
-    config = planned(experiment, overrides)
-    if (folder := newest(outputs, config, finished=True)) is not None:
-        log.info("%s: already trained, %s", experiment, folder)
-    elif (folder := newest(outputs, config, finished=False)) is not None:
-        _run(
-            "train",
-            [f"ckpt_path={folder / LAST}"],
-            [text for text in overrides if top(text) == "paths"],
-        )
-    else:
-        _run("train", [f"+experiment={experiment}", *overrides])
-        folder = newest(outputs, config, finished=True)
-    assert folder is not None, "a training that ended well has left its tables"
-    return folder / (BEST if (folder / BEST).is_file() else LAST)
-
-
-def _run(name: str, *overrides: Sequence[str]) -> None:
-    """Run another command, whose messages go to the same screen; end with its code if it fails."""
-    arguments = [text for texts in overrides for text in texts]
-    log.info("python -m imagination.%s %s", name, shlex.join(arguments))
-    code = subprocess.run([sys.executable, "-m", f"imagination.{name}", *arguments], check=False).returncode
-    if code:
-        log.error("imagination.%s ended with %d; the same command goes on where it was", name, code)
-        sys.exit(code)
+        checkpoints.append(Checkpoint(Path(experiment), {KEY: ConfigInCheckpoint(config).saved_config}))
+    config = evaluation_config(checkpoints, [f"ckpt={json.dumps(list(experiments))}", *evaluation])
+    instantiate(config.evaluation).available(NEEDS)
 
 
 if __name__ == "__main__":

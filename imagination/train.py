@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 
 from imagination.runs.command import command
-from imagination.runs.distributed import environment, strategy
+from imagination.runs.distributed import cluster_environment, strategy
 from imagination.runs.folder import BEST
 from imagination.runs.logging import quiet_lightning
-from imagination.runs.preflight import check_accelerator, check_shares, gpu_memory
-from imagination.runs.resume import Run, opened
-from imagination.runs.run_summary import record_hyperparameters, single_views, summary
+from imagination.runs.preflight import check_accelerator, check_processes, out_of_memory_reported
+from imagination.runs.resume import Run, open_run
+from imagination.runs.run_summary import record_hyperparameters, summary, write_single_view_scores
 from imagination.utils.precision import resolved
 from imagination.utils.timing import stage
 
@@ -28,27 +28,29 @@ log = logging.getLogger(__name__)
 
 @command("train")
 def main(config: DictConfig) -> float | None:
-    """The command; a search maximises what it returns, the best egocentric IoU on validation scenes."""
-    with opened(config) as run:
-        log.info("Run folder: %s\nWatch it: tensorboard --logdir %s", run.folder, run.folder.parent)
+    """Train and evaluate; return the best egocentric IoU on validation scenes, which a search maximises."""
+    with open_run(config) as run:
+        log.info("Run folder: %s\nTensorBoard: tensorboard --logdir %s", run.folder, run.folder.parent)
         trainer = train(run)
         if trainer.is_global_zero:
-            log.info("%s\n%s", single_views(run, trainer), summary(run, best(run)))
+            log.info("%s\n%s", write_single_view_scores(run, trainer), summary(run, best_checkpoint(run)))
         return best_score(trainer)
 
 
 def train(run: Run) -> Trainer:
-    """Build everything that the config names, fit, evaluate on scenes that training never saw."""
+    """Build model, data and trainer, train the model, and test its best checkpoint on the test scenes."""
     model, data, trainer = build(run)
     try:
-        with stage("scenes and truth"):
+        with stage("scenes and ground truth"):
             data.setup("fit")
-        with stage("training"), gpu_memory(run.config):
+        with stage("training"), out_of_memory_reported(run.config):
             trainer.fit(model, datamodule=data, ckpt_path=run.checkpoint, weights_only=True)
-        with stage("scenes and truth"):
+        with stage("scenes and ground truth"):
             data.setup("test")
         with stage("evaluation"):
-            trainer.test(model, datamodule=data, ckpt_path=best(run), verbose=False, weights_only=True)
+            trainer.test(
+                model, datamodule=data, ckpt_path=best_checkpoint(run), verbose=False, weights_only=True
+            )
     finally:
         data.close()
     record_hyperparameters(trainer, run.config)
@@ -56,7 +58,7 @@ def train(run: Run) -> Trainer:
 
 
 def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
-    """Model, data and trainer with its callbacks and logger."""
+    """Build the model, the data and the trainer with its callbacks and logger."""
     import torch.utils.deterministic
     from hydra.utils import instantiate
     from lightning import seed_everything
@@ -65,12 +67,12 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
 
     config = run.config
     check_accelerator(config.trainer.accelerator)
-    check_shares(config)
-    if "purge_step" in config.logger:  # what a killed process logged after the checkpoint comes again
+    check_processes(config)
+    if "purge_step" in config.logger:  # events after the checkpoint are logged again
         config.logger.purge_step = read_state(run.checkpoint)["global_step"] if run.checkpoint else 0
     quiet_lightning()
     seed_everything(config.seed, verbose=False)
-    # deterministic algorithms fill whatever they allocate, to find out who reads it before it is written
+    # deterministic mode fills uninitialized memory to expose reads before writes, which only costs time here
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     model = instantiate(config.model.module)
     data = instantiate(config.data.module)
@@ -81,19 +83,19 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
         precision=resolved(config.trainer.precision),
         callbacks=callbacks,
         logger=instantiate(config.logger),
-        plugins=[CheckpointFiles(), environment()],
+        plugins=[CheckpointFiles(), cluster_environment()],
     )
     return model, data, trainer
 
 
-def best(run: Run) -> Path | None:
-    """The checkpoint to evaluate: the best one on validation scenes; None, the weights in memory, if none was kept."""
+def best_checkpoint(run: Run) -> Path | None:
+    """Return the checkpoint with the best validation score; None, the weights in memory, if there is no checkpoint."""
     path = run.folder / BEST
     return path if path.is_file() else None
 
 
 def best_score(trainer: Trainer) -> float | None:
-    """Of the checkpoint that was evaluated; None if none was kept."""
+    """Return the validation score of the best checkpoint; None if there is no checkpoint."""
     scores = [getattr(callback, "best_model_score", None) for callback in trainer.checkpoint_callbacks]
     return next((float(score) for score in scores if score is not None), None)
 

@@ -1,4 +1,4 @@
-"""What all tests share: shapes are checked, one thread each, commands run as a user runs them."""
+"""Fixtures and settings of all tests: checks of array shapes, one thread per process, commands as subprocesses."""
 
 import os
 import subprocess
@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two cores
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes on two cores
 
 import pytest
 from jaxtyping import install_import_hook
@@ -22,7 +22,7 @@ Command = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture
 def command(tmp_path: Path) -> Command:
-    """Runs `python -m imagination.<name> <arguments>` in an empty folder, as in a terminal without colours."""
+    """Run `python -m imagination.<name> <arguments>` in an empty folder."""
 
     def run(name: str, *arguments: str, timeout: float = 180.0) -> subprocess.CompletedProcess[str]:
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
@@ -40,7 +40,7 @@ def command(tmp_path: Path) -> Command:
 
 @pytest.fixture
 def example_plugin(tmp_path: Path) -> Iterator[Path]:
-    """The example plugin in plugins/ of the folder that commands run in."""
+    """Link the example plugin into plugins/ of the folder in which commands run."""
     folder = tmp_path / "plugins" / "example"
     folder.parent.mkdir()
     folder.symlink_to(ROOT / "tests" / "helpers" / "example_plugin", target_is_directory=True)
@@ -49,9 +49,9 @@ def example_plugin(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.fixture(scope="session")
 def unit_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small unit for chairs that was never trained, as ONNX."""
+    """Export a small untrained unit for chairs to ONNX."""
     from imagination.deployment.export import export
-    from imagination.runs.checkpoint import Checkpoint  # torch, which few tests need
+    from imagination.runs.checkpoint import Checkpoint  # imports torch, which few tests need
     from tests.helpers.checkpoints import make_checkpoint, samples
 
     folder = tmp_path_factory.mktemp("unit")

@@ -1,4 +1,4 @@
-"""The documentation follows the code."""
+"""Checks that the documentation matches the code."""
 
 import os
 import re
@@ -21,7 +21,7 @@ PAGES = ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").gl
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_links_lead_somewhere(page: str) -> None:
+def test_links_exist(page: str) -> None:
     path = ROOT / page
     for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", path.read_text()):
         assert (path.parent / target).exists(), f"{page} links to {target}"
@@ -30,7 +30,7 @@ def test_links_lead_somewhere(page: str) -> None:
 def test_the_example_of_the_mapper_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unit_file: Path
 ) -> None:
-    """As it stands in the README, with a small unit that was never trained."""
+    """The example of the README with a small untrained unit."""
     from imagination.mapping.map_io import load_layer
 
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
@@ -42,16 +42,16 @@ def test_the_example_of_the_mapper_runs(
     assert (load_layer(tmp_path / "my_map" / "map.yaml").layer >= 0).any()
 
 
-ONLY = """
+ISOLATED = """
 import re, sys
 from importlib.metadata import packages_distributions, requires
 from pathlib import Path
-allowed, wanted = set(), sys.argv[1:]
-while wanted:
-    name = re.split("[ ;<>=!~(]", wanted.pop(), maxsplit=1)[0].lower().replace("_", "-")
+allowed, pending = set(), sys.argv[1:]
+while pending:
+    name = re.split("[ ;<>=!~(]", pending.pop(), maxsplit=1)[0].lower().replace("_", "-")
     if name not in allowed:
         allowed.add(name)
-        wanted += [each for each in requires(name) or [] if "extra ==" not in each]
+        pending += [each for each in requires(name) or [] if "extra ==" not in each]
 owners = packages_distributions().items()
 owners = {module: {name.lower().replace("_", "-") for name in names} for module, names in owners}
 class Block:
@@ -71,11 +71,11 @@ except ImportError as error:
 """
 
 
-def test_the_example_needs_no_other_packages_than_the_readme_says(tmp_path: Path, unit_file: Path) -> None:
+def test_the_example_needs_only_the_packages_in_the_readme(tmp_path: Path, unit_file: Path) -> None:
     readme = ROOT / "README.md"
     (packages,) = re.findall(r"`pip install (numpy numba [^`]*)` are enough", readme.read_text())
     (tmp_path / "best.onnx").symlink_to(unit_file)
-    code = ONLY.replace("sys.argv[0]", repr(str(readme)))
+    code = ISOLATED.replace("sys.argv[0]", repr(str(readme)))
     done = subprocess.run(
         [sys.executable, "-c", code, *packages.split()],
         cwd=tmp_path,
@@ -85,7 +85,7 @@ def test_the_example_needs_no_other_packages_than_the_readme_says(tmp_path: Path
         timeout=300,
     )
     assert done.returncode == 0, done.stderr
-    assert "not in the README's list: hydra" in done.stdout  # the block works
+    assert "not in the README's list: hydra" in done.stdout  # imports are blocked
 
 
 def test_the_smallest_scene_source_is_small() -> None:

@@ -1,4 +1,4 @@
-"""What may be imported where: geometry and mapping do without torch, commands answer quickly."""
+"""Imports: geometry and mapping need no torch, and commands start quickly."""
 
 import resource
 import subprocess
@@ -6,7 +6,7 @@ import sys
 
 from tests.conftest import ROOT, Command
 
-LIGHT = "geometry scenes ground_truth views mapping recordings viewers"
+TORCH_FREE = "geometry scenes ground_truth views mapping recordings viewers"
 
 BLOCKED = f"""
 import importlib, pathlib, sys
@@ -16,9 +16,9 @@ class Block:
             raise ImportError("blocked: " + name)
 sys.meta_path.insert(0, Block())
 root = pathlib.Path("imagination")
-files = [root / "errors.py", root / "categories.py", root / "plugins.py", root / "cache.py"]
-files += [root / "deployment" / "load.py", root / "deployment" / "onnx_module.py"]
-files += [path for room in {LIGHT.split()!r} for path in sorted((root / room).rglob("*.py"))]
+files = [root / "utils" / "errors.py", root / "utils" / "cache.py", root / "config" / "plugin_registry.py"]
+files += [root / "deployment" / "load.py", root / "deployment" / "onnx_backend.py"]
+files += [path for package in {TORCH_FREE.split()!r} for path in sorted((root / package).rglob("*.py"))]
 for path in files:
     name = ".".join(path.with_suffix("").parts).removesuffix(".__init__")
     importlib.import_module(name)
@@ -36,7 +36,7 @@ def test_geometry_and_mapping_need_no_torch() -> None:
     assert int(done.stdout) > 15
 
 
-def test_commands_import_no_torch_before_they_work() -> None:
+def test_importing_commands_does_not_import_torch() -> None:
     code = "import sys, imagination.{0}; sys.exit('torch' in sys.modules or 'lightning' in sys.modules)"
     for name in ("train", "evaluate", "render", "map", "export", "serve"):
         done = python(code.format(name))
@@ -51,12 +51,12 @@ def test_help_and_plugin_listing_are_quick(command: Command) -> None:
 
 
 def processor_seconds() -> float:
-    """Of the processes that were waited for: other work on the machine does not count."""
+    """Return the processor time of finished child processes, without other load on the machine."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
 
 
-def test_shapes_are_really_checked() -> None:
+def test_shapes_are_checked() -> None:
     import numpy as np
     import pytest
     from beartype.roar import BeartypeCallHintViolation

@@ -1,4 +1,4 @@
-"""Training until the validation score no longer rises."""
+"""Early stopping on a validation score."""
 
 import logging
 from typing import Any
@@ -11,22 +11,25 @@ log = logging.getLogger(__name__)
 
 
 class EarlyStopping(Callback):
-    """Ends training when the score is flat, after as many epochs as the learning rate's schedule has.
+    """Callback that ends training when the score is flat and the learning-rate schedule has ended.
 
-    Flat means that for `patience` validations in a row it was not above the best one by `margin`. Its state lies in
-    checkpoints, so that a resumed run does the same.
+    The score is flat if it did not exceed the best score by more than `min_delta` in `patience` consecutive
+    validations. The state is saved in checkpoints, so that a resumed run stops at the same epoch.
 
     Args:
-        monitor: the score, e.g. "val/iou"; more is better.
-        patience: validations.
-        margin: by which a score must be above the best one.
-        min_epochs: before which training does not end, as the learning rate still falls.
+        monitor: name of the score, e.g. "val/iou"; higher is better.
+        patience: number of validations without improvement.
+        min_delta: minimum improvement over the best score.
+        min_epochs: minimum number of epochs, those of the learning-rate schedule.
+
+    Raises:
+        UserError: if a value is out of range.
     """
 
     def __init__(self, monitor: str, patience: int, min_delta: float, min_epochs: int) -> None:
         self.monitor = monitor
         self.patience = int(check_range("early_stopping.patience", patience, 1, 10_000, "validations"))
-        self.min_delta = check_range("early_stopping.margin", min_delta, 0.0, 1.0)
+        self.min_delta = check_range("early_stopping.min_delta", min_delta, 0.0, 1.0)
         self.min_epochs = int(check_range("early_stopping.min_epochs", min_epochs, 1, 10**9, "epochs"))
         self._best, self._waited = float("-inf"), 0
 
@@ -39,13 +42,13 @@ class EarlyStopping(Callback):
         self._end_if_flat(trainer, trainer.current_epoch + 1)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self._end_if_flat(trainer, trainer.current_epoch)  # a finished run that is resumed
+        self._end_if_flat(trainer, trainer.current_epoch)  # when a finished run is resumed
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if not self.flat or trainer.current_epoch < self.min_epochs:
             log.warning(
-                "Training ended after %d epochs, before %s was flat and %d epochs were done, those of its schedule; "
-                "raise trainer.max_epochs and go on with resume",
+                "Training ended after %d epochs, before %s was flat and the %d epochs of the learning-rate schedule "
+                "were done; raise trainer.max_epochs and resume the run",
                 trainer.current_epoch,
                 self.monitor,
                 self.min_epochs,
@@ -53,7 +56,7 @@ class EarlyStopping(Callback):
 
     @property
     def flat(self) -> bool:
-        """Whether the newest scores are not above the best one before them."""
+        """Whether the last `patience` scores did not improve on the best score."""
         return self._waited >= self.patience
 
     def _end_if_flat(self, trainer: Trainer, epochs: int) -> None:

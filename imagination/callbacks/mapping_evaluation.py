@@ -1,4 +1,4 @@
-"""The mapping task as a callback: a few validation scenes while training, all test scenes at its end."""
+"""Mapping evaluation as a callback: on a few validation scenes during training and on all test scenes at the end."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,16 +20,19 @@ Network = Model | Segmenter
 
 
 class MappingEvaluation(Callback):
-    """Logs the global IoU of each approach; writes tables and figures once the test is done.
+    """Callback that logs the global IoU of each approach and writes tables and figures after the test.
 
-    While training, the same few validation scenes serve to choose thresholds and to measure, with one viewpoint set
-    each: these figures are a little too high, and only show how training goes.
+    During training, thresholds are selected and evaluated on the same few validation scenes, with one viewpoint set
+    each. These scores are slightly too high and only monitor training.
 
     Args:
-        protocol: of the evaluation.
-        every_n_epochs: epochs between evaluations during training.
-        scenes: validation scenes of each of these.
-        folder: of the run; tables/ and figures/ are made in it.
+        protocol: protocol of the evaluation.
+        every_n_epochs: number of epochs between evaluations during training.
+        scenes: number of validation scenes in an evaluation during training.
+        folder: run folder, in which tables/ and figures/ are written.
+
+    Raises:
+        UserError: if a value is out of range.
     """
 
     def __init__(
@@ -43,8 +46,8 @@ class MappingEvaluation(Callback):
         self.folder = Path(folder)
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        networks = self._subject(trainer, pl_module).predict
-        self.protocol.available(networks.gives)  # refused before training, not after it
+        predictor = self._model_under_test(trainer, pl_module).predict
+        self.protocol.available(predictor.gives)  # checked before training instead of after it
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if (trainer.current_epoch + 1) % self.every_n_epochs == 0 and trainer.is_global_zero:
@@ -63,26 +66,28 @@ class MappingEvaluation(Callback):
                 trainer, f"maps/{example.category}/{example.trial.cell_width:g}m", side_by_side(example)
             )
 
-    def _subject(self, trainer: Trainer, pl_module: LightningModule) -> ModelUnderTest:
-        """The network with its weights of this moment: what is found with them is not kept."""
+    def _model_under_test(self, trainer: Trainer, pl_module: LightningModule) -> ModelUnderTest:
+        """Return the network with its current weights, whose results are not cached."""
         return model_under_test(
             _data(trainer), [cast(Network, pl_module)], self.protocol.precision, keep=False
         )
 
     def _monitor(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data = _data(trainer)
-        subject = self._subject(trainer, pl_module)
-        every = data.observer.source.scenes("val")
-        furnished = [
-            scene for scene in every if data.observer.truth(scene).truth[data.layers].any(axis=(1, 2)).all()
+        model = self._model_under_test(trainer, pl_module)
+        names = data.observer.source.scenes("val")
+        with_all_categories = [
+            name
+            for name in names
+            if data.observer.ground_truth(name).truth[data.layers].any(axis=(1, 2)).all()
         ]
-        scenes = furnished[: self.scenes] or every
-        few = replace(self.protocol.available(subject.predict.gives), viewpoint_sets=1)
-        choices = few.select_thresholds(subject, scenes, silent=True)
-        for (approach, category), choice in choices.items():
-            pl_module.log(f"global/{category}/{approach}/val", choice.iou, rank_zero_only=True)
-        first_width = replace(few, cell_widths=self.protocol.cell_widths[:1])
-        for example in first_width.evaluate(subject, scenes, choices, silent=True).examples:
+        scenes = with_all_categories[: self.scenes] or names
+        protocol = replace(self.protocol.available(model.predict.gives), viewpoint_sets=1)
+        thresholds = protocol.select_thresholds(model, scenes, silent=True)
+        for (approach, category), threshold in thresholds.items():
+            pl_module.log(f"global/{category}/{approach}/val", threshold.iou, rank_zero_only=True)
+        first_width = replace(protocol, cell_widths=self.protocol.cell_widths[:1])
+        for example in first_width.evaluate(model, scenes, thresholds, silent=True).examples:
             add_image(trainer, f"maps/{example.category}/val", side_by_side(example))
 
 

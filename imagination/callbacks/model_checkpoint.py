@@ -1,4 +1,4 @@
-"""Checkpoint files of a run's folder, wherever that folder is."""
+"""Checkpoint callbacks for run folders that can be moved."""
 
 from pathlib import Path
 from typing import Any
@@ -7,10 +7,11 @@ from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 
 PATHS = ("best_model_path", "kth_best_model_path", "last_model_path")
+"""Keys of the callback state that hold paths."""
 
 
 class MovableCheckpoint(ModelCheckpoint):
-    """A ModelCheckpoint whose state names files without their folder: Lightning forgets the best after a move."""
+    """ModelCheckpoint whose state holds file names without folders, so that a moved run keeps its best checkpoint."""
 
     def state_dict(self) -> dict[str, Any]:
         state = super().state_dict()
@@ -19,16 +20,16 @@ class MovableCheckpoint(ModelCheckpoint):
         return {**state, **names, "best_k_models": best, "dirpath": ""}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        def here(name: str) -> str:
+        def path_of(name: str) -> str:
             return str(Path(str(self.dirpath)) / name) if name else name
 
-        paths = {key: here(state_dict[key]) for key in PATHS}
-        best = {here(name): score for name, score in state_dict["best_k_models"].items()}
+        paths = {key: path_of(state_dict[key]) for key in PATHS}
+        best = {path_of(name): score for name, score in state_dict["best_k_models"].items()}
         super().load_state_dict({**state_dict, **paths, "best_k_models": best, "dirpath": self.dirpath})
 
 
 class BestCheckpoint(MovableCheckpoint):
-    """Saves after epochs that were validated, and has the last one validated: its weights are the likeliest best."""
+    """Checkpoint callback that saves after validated epochs and has the last epoch, often the best, validated."""
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if trainer.current_epoch + 1 == trainer.max_epochs:

@@ -1,4 +1,4 @@
-"""How far training is, on the screen."""
+"""Progress bar of training."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -9,15 +9,15 @@ from imagination.utils.progress import bar
 
 
 class ProgressBar(Callback):
-    """Shows how many of the epochs are done."""
+    """Callback that shows the number of completed epochs."""
 
     def __init__(self) -> None:
         self._open = ExitStack()
         self._advance: Callable[[], None] = lambda: None
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        left = (trainer.max_epochs or 0) - trainer.current_epoch
-        self._advance = self._open.enter_context(bar("training epochs", left))
+        remaining = (trainer.max_epochs or 0) - trainer.current_epoch
+        self._advance = self._open.enter_context(bar("training epochs", remaining))
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._advance()

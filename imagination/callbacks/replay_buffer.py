@@ -1,4 +1,4 @@
-"""The replay buffer as a callback: collects before each round and hands the round's batches to training."""
+"""Replay-buffer callback, which collects views before each epoch and provides the batches of the epoch."""
 
 from collections.abc import Callable, Iterator
 from time import perf_counter
@@ -11,7 +11,7 @@ from imagination.config.key_roles import MICRO_BATCH_KEYS
 from imagination.data.augmentation import mirrored
 from imagination.data.collate import Batch
 from imagination.data.datamodule import SceneData
-from imagination.data.prefetch import ahead
+from imagination.data.prefetch import prefetch
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.models.losses import batch_counts
 from imagination.utils.errors import UserError, check_range
@@ -22,20 +22,24 @@ from imagination.views.random_streams import Stream
 
 
 class ReplayBufferCallback(Callback):
-    """One epoch is one round: collect `update_interval` steps, then train on `update_batches` batches from the buffer.
+    """Callback that collects views before each epoch and provides its batches from a replay buffer.
 
-    Collecting runs one round ahead of training in the workers. Which views and batches a round gets depends on the
-    seed and the round alone: the epoch in a checkpoint is the collector's position, and nothing else has to be saved.
+    An epoch collects `update_interval` steps and trains on `update_batches` batches. The workers collect one epoch
+    ahead of training. The views and batches of an epoch depend only on the seed and the epoch, so that the epoch in a
+    checkpoint suffices to resume.
 
     Args:
-        size: views that the buffer keeps.
-        update_interval: collection steps (one look in each parallel scene) in a round.
-        update_batches: batches trained on in a round.
-        aggregation_factor: share of a batch from older views, the rest from the newest collection.
-        prefill_steps: collection steps before the first round, a multiple of `update_interval`.
-        hflip_probability: of the views in batches, seen in a mirror.
-        collection_epochs: epochs that collect; those after them train on what is there, and where the buffer does not
-            hold all of it, go through the same collections again.
+        size: capacity of the buffer, views.
+        update_interval: number of collection steps per epoch; a step is one view in each parallel scene.
+        update_batches: number of batches per epoch.
+        aggregation_factor: fraction of older views in a batch; the rest comes from the newest collection.
+        prefill_steps: number of collection steps before the first epoch, a multiple of `update_interval`.
+        hflip_probability: probability that a view in a batch is flipped horizontally.
+        collection_epochs: number of epochs that collect views. Later epochs reuse the views in the buffer or, if the
+            buffer does not hold all collections, repeat the collections in their order.
+
+    Raises:
+        UserError: if a value is out of range.
     """
 
     def __init__(
@@ -60,52 +64,53 @@ class ReplayBufferCallback(Callback):
         self.prefill = prefill_steps // self.update_interval
         self.hflip_probability = check_range("hflip_probability", hflip_probability, 0.0, 1.0)
         self.collection_epochs = int(check_range("collection_epochs", collection_epochs, 1, 10**9, "epochs"))
-        self._resident = 0  # collections that this process has inserted or passed over as too old
+        self._resident = 0  # number of collections that were inserted, or skipped as too old
         self._started: dict[int, Callable[[], Views]] = {}
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
-        if world_size() > 1:  # each keeps its part
+        if world_size() > 1:  # each process has a part of the buffer
             self.buffer = ReplayBuffer(self.buffer.size // world_size(), self.buffer.aggregation_factor)
-        share = data.batch_size // world_size()
+        per_process = data.batch_size // world_size()
         check_range(
             MICRO_BATCH_KEYS[data.predicts],
             trainer.accumulate_grad_batches,
             1,
-            share,
-            "parts of a process's batch",
+            per_process,
+            "parts of a per-process batch",
         )
-        data.epochs = _Rounds(self, data, trainer)
+        data.epochs = _EpochBatches(self, data, trainer)
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
         collector = data.collector(self.update_interval)
-        every = self.prefill + self.collection_epochs
-        all_held = every * collector.views_per_collection <= self.buffer.size
+        total = self.prefill + self.collection_epochs
+        holds_all = total * collector.views_per_collection <= self.buffer.size
         newest = self.prefill + trainer.current_epoch
-        newest = min(newest, every - 1) if all_held else newest
-        begin = perf_counter()
+        newest = min(newest, total - 1) if holds_all else newest
+        start = perf_counter()
         self._fill(data, collector, newest, 2 * max(1, data.workers))
-        if all_held and trainer.current_epoch >= self.collection_epochs:
+        if holds_all and trainer.current_epoch >= self.collection_epochs:
             self.buffer.settle()
-        elif trainer.current_epoch + 1 < (trainer.max_epochs or 0) and not (all_held and newest + 1 == every):
-            self._start(collector, newest + 1)  # renders while this round trains
-        collected = min(newest + 1, every) * collector.views_per_collection * world_size()
-        pl_module.log("data/collecting_seconds", perf_counter() - begin)
+        elif trainer.current_epoch + 1 < (trainer.max_epochs or 0) and not (
+            holds_all and newest + 1 == total
+        ):
+            self._start(collector, newest + 1)  # renders while this epoch trains
+        collected = min(newest + 1, total) * collector.views_per_collection * world_size()
+        pl_module.log("data/collecting_seconds", perf_counter() - start)
         pl_module.log("data/collected_views", float(collected))
         pl_module.log(
             "data/draws_per_view",
             self.update_batches * data.batch_size * (trainer.current_epoch + 1) / collected,
         )
 
-    def _fill(self, data: SceneData, collector: Collector, newest: int, early: int) -> None:
-        """Insert every collection up to `newest` that still has a place in the buffer."""
-        kept = -(-self.buffer.size // collector.views_per_collection)
-        wanted = range(max(self._resident, newest + 1 - kept), newest + 1)
-        shown = progress(wanted, "collecting views") if len(wanted) > 1 else wanted
-        for index in shown:
-            for later in range(index, min(index + early, newest + 1)):
-                self._start(collector, later)
+    def _fill(self, data: SceneData, collector: Collector, newest: int, lookahead: int) -> None:
+        """Insert every collection up to `newest` that fits into the buffer, and start `lookahead` collections early."""
+        capacity = -(-self.buffer.size // collector.views_per_collection)
+        indices = range(max(self._resident, newest + 1 - capacity), newest + 1)
+        for index in progress(indices, "collecting views") if len(indices) > 1 else indices:
+            for upcoming in range(index, min(index + lookahead, newest + 1)):
+                self._start(collector, upcoming)
             views = self._started.pop(index)()
             self.buffer.insert({name: views[name] for name in data.fields})
         self._resident = newest + 1
@@ -116,14 +121,11 @@ class ReplayBufferCallback(Callback):
 
 
 DRAWING_THREADS = 4
-"""That draw batches while a GPU trains on earlier ones: at the paper's scale one takes as long as a step of an H100."""
+"""Number of prefetch threads on a GPU: at the paper's scale, drawing a batch takes as long as a step of an H100."""
 
 
-class _Rounds:
-    """What training iterates over: the batches of the current round, drawn in the main process.
-
-    When asked for, where the processor trains too; ahead of it, where a GPU does.
-    """
+class _EpochBatches:
+    """Batches of the current epoch, drawn in the main process: prefetched if a GPU trains, otherwise on demand."""
 
     def __init__(self, callback: ReplayBufferCallback, data: SceneData, trainer: Trainer) -> None:
         self.callback, self.data, self.trainer = callback, data, trainer
@@ -133,7 +135,7 @@ class _Rounds:
 
     def __iter__(self) -> Iterator[Batch]:
         threads = DRAWING_THREADS if self._on_gpu else 0
-        for batch in ahead(self._batch, self.callback.update_batches, threads):
+        for batch in prefetch(self._batch, self.callback.update_batches, threads):
             yield from batch
 
     @property
@@ -141,25 +143,27 @@ class _Rounds:
         return self.trainer.strategy.root_device.type == "cuda"
 
     def _batch(self, number: int) -> list[Batch]:
-        """A batch of the current round, in the parts that it is trained in."""
-        share, place = self.data.batch_size // world_size(), number * world_size() + global_rank()
-        rng = np.random.default_rng([self.data.seed, Stream.BATCHES, self.trainer.current_epoch, place])
-        views = self.callback.buffer.draw(share, rng)
-        which = rng.random(share) < self.callback.hflip_probability
-        batch = self.data.assemble(mirrored(views, which))
-        cut = parts(batch, self.trainer.accumulate_grad_batches)
-        return [pinned(part) for part in cut] if self._on_gpu else list(cut)
+        """Draw a batch of the current epoch, divided into micro-batches."""
+        per_process = self.data.batch_size // world_size()
+        index = number * world_size() + global_rank()
+        rng = np.random.default_rng([self.data.seed, Stream.BATCHES, self.trainer.current_epoch, index])
+        views = self.callback.buffer.draw(per_process, rng)
+        flipped = rng.random(per_process) < self.callback.hflip_probability
+        batch = self.data.assemble(mirrored(views, flipped))
+        micro_batches = parts(batch, self.trainer.accumulate_grad_batches)
+        return [pinned(part) for part in micro_batches] if self._on_gpu else list(micro_batches)
 
 
 def pinned(batch: Batch) -> Batch:
-    """The same in memory that is copied to a GPU ten times as fast."""
+    """Copy a batch to pinned memory, which is transferred to a GPU ten times as fast."""
     return {name: values.pin_memory() for name, values in batch.items()}
 
 
 def parts(batch: Batch, count: int) -> Iterator[Batch]:
-    """A batch in `count` parts for gradient accumulation, each with what weighs its loss as a part of the whole.
+    """Yield `count` micro-batches of a batch for gradient accumulation.
 
-    Maps get the counts of `batch_counts`, first-person images the number of views.
+    Each micro-batch gets the values of the whole batch that scale its loss: the counts of `batch_counts` for maps, the
+    number of views for first-person images.
     """
     if count == 1:
         yield batch

@@ -1,13 +1,13 @@
-"""Random states that a resumed run finds again."""
+"""Seeding of random generators per epoch."""
 
 from lightning import Callback, LightningModule, Trainer, seed_everything
 
 
 class SeedPerEpoch(Callback):
-    """Seeds all generators at the start of each round from the seed and the round, so that no state has to be saved.
+    """Callback that seeds all generators at the start of each epoch, so that a resumed run needs no saved states.
 
     Args:
-        seed: of the run.
+        seed: seed of the run.
     """
 
     def __init__(self, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""Pictures of first-person segmentation in TensorBoard."""
+"""Images of first-person segmentation in TensorBoard."""
 
 from typing import Any, cast
 
@@ -14,10 +14,13 @@ from imagination.utils.errors import check_range
 
 
 class SegmentationImages(Callback):
-    """Draws views of validation scenes, one row each: RGB, true segmentation, predicted segmentation.
+    """Callback that draws views of validation scenes, one row each: RGB, ground truth, predicted segmentation.
 
     Args:
-        views: drawn at each validation, spread over its first batch.
+        views: number of views drawn at each validation, evenly spaced in its first batch.
+
+    Raises:
+        UserError: if the number of views is out of range.
     """
 
     def __init__(self, views: int) -> None:
@@ -35,32 +38,32 @@ class SegmentationImages(Callback):
         if batch_idx > 0 or not trainer.is_global_zero:
             return
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
-        chosen = spread(batch, self.views)
-        rgb, truth = chosen["rgb"], chosen["segmentation"]
-        predicted = cast(Segmenter, pl_module).segment(rgb, *truth.shape[-2:])
+        selected = spread(batch, self.views)
+        rgb, gt = selected["rgb"], selected["segmentation"]
+        predicted = cast(Segmenter, pl_module).segment(rgb, *gt.shape[-2:])
         colours = [row.colour for row in data.observer.categories if row.name in data.unit_categories]
         images = rgb.cpu().permute(0, 2, 3, 1).numpy()
         add_image(
             trainer,
             "views/val",
-            draw(images, truth.cpu().numpy(), predicted.cpu().numpy(), np.array(colours)),
+            draw(images, gt.cpu().numpy(), predicted.cpu().numpy(), np.array(colours)),
         )
 
 
 def draw(
     rgb: UInt8[np.ndarray, "n h w 3"],
-    truth: UInt8[np.ndarray, "n h w"],
+    gt: UInt8[np.ndarray, "n h w"],
     predicted: UInt8[np.ndarray, "n h w"],
     colours: np.ndarray,
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """One row for each view: image, truth, prediction.
+    """Draw one row for each view: image, ground truth, prediction.
 
     Args:
-        rgb: images.
-        truth, predicted: 0 for none, else the category's place + 1.
-        colours: RGB of each category.
+        rgb: camera images.
+        gt, predicted: segmentations, 0 for background, else category index + 1.
+        colours: RGB colour of each category.
     """
     palette = np.concatenate([np.zeros((1, 3)), colours]).astype(np.uint8)
-    panels = [rgb, palette[truth], palette[predicted]]
+    panels = [rgb, palette[gt], palette[predicted]]
     framed = [np.pad(panel, ((0, 0), (1, 1), (1, 1), (0, 0)), constant_values=128) for panel in panels]
     return np.concatenate(np.concatenate(framed, axis=2))

@@ -1,4 +1,4 @@
-"""What a checkpoint's weights took: epochs, samples, views and minutes."""
+"""Training statistics: epochs, samples, views and duration."""
 
 from time import monotonic, perf_counter
 from typing import Any
@@ -12,24 +12,25 @@ from imagination.utils.process_group import world_size
 
 
 class TrainingStats(Callback):
-    """Counts over all resumptions of a run; the counts lie in its checkpoints and go into an evaluation's tables.
+    """Callback that counts epochs, samples, views and seconds over all resumptions of a run.
 
-    Logs how fast training is, drawing batches included; which share of a round waits for its collection or lies between
-    steps (batches, loggers); and where on the axis of steps loggers show a validation.
+    The counts are saved in checkpoints and appear in the tables of an evaluation. The callback also logs the training
+    speed, including the drawing of batches; the fraction of an epoch spent waiting for the collection of views or
+    between steps (batches, loggers); and the step at which loggers show a validation.
     """
 
     def __init__(self) -> None:
         self._counts = {"epochs": 0, "samples": 0, "views": 0, "seconds": 0.0, "best": 0.0}
         self._since = monotonic()
         self._batch_begin = self._batch_end = 0.0
-        self._between = self._round = 0.0  # seconds of the round so far: between steps, and in all
+        self._seconds_between_steps = self._seconds_in_epoch = 0.0  # of the current epoch so far
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._since = monotonic()
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self._batch_end = perf_counter()  # after the replay buffer's turn
-        self._between = self._round = 0.0
+        self._batch_end = perf_counter()  # after the replay-buffer callback has collected
+        self._seconds_between_steps = self._seconds_in_epoch = 0.0
 
     def on_train_batch_start(
         self, trainer: Trainer, pl_module: LightningModule, batch: Batch, batch_idx: int
@@ -39,13 +40,13 @@ class TrainingStats(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Batch, batch_idx: int
     ) -> None:
-        if pl_module.device.type == "cuda":  # which is still computing
+        if pl_module.device.type == "cuda":  # wait for asynchronous kernels
             torch.cuda.synchronize()
         samples, now = len(batch["rgb"]) * world_size(), perf_counter()
         self._counts["samples"] += samples
         pl_module.log("train/samples_per_second", samples / (now - self._batch_end))
-        self._between += self._batch_begin - self._batch_end
-        self._round += now - self._batch_end
+        self._seconds_between_steps += self._batch_begin - self._batch_end
+        self._seconds_in_epoch += now - self._batch_end
         self._batch_end = now
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -58,7 +59,8 @@ class TrainingStats(Callback):
         self._counts["epochs"] = trainer.current_epoch + 1
         self._counts["views"] = int(trainer.callback_metrics["data/collected_views"])
         collecting = float(trainer.callback_metrics["data/collecting_seconds"])
-        pl_module.log("train/waiting", (collecting + self._between) / (collecting + self._round))
+        waiting = collecting + self._seconds_between_steps
+        pl_module.log("train/waiting", waiting / (collecting + self._seconds_in_epoch))
 
     def state_dict(self) -> dict[str, Any]:
         now = monotonic()

@@ -1,4 +1,4 @@
-"""Pictures of single views in TensorBoard: what the robot sees, what it should imagine, what it does."""
+"""Images of single views in TensorBoard: observation, label and prediction."""
 
 from typing import Any, cast
 
@@ -22,21 +22,25 @@ SEEN, OCCUPIED = (225, 225, 225), (90, 90, 90)
 """Colours of the egocentric map, RGB."""
 
 MAX_DEPTH = 6.0
-"""Metres that are drawn brightest."""
+"""Depth that is drawn white, metres."""
 
 
 class UnitImages(Callback):
-    """Draws views of validation scenes, one row each: RGB, depth, egocentric occupancy, and for each category label,
-    prediction and valid imagination.
+    """Callback that draws views of validation scenes, one row each.
+
+    The panels of a row are RGB, depth, egocentric occupancy, and for each category label, prediction and V_valid.
 
     Args:
-        views: drawn at each validation, spread over its first batch.
-        valid_threshold: tau_valid, for M*_seen.
+        views: number of views drawn at each validation, evenly spaced in its first batch.
+        valid_threshold: τ_valid, the threshold for M*_seen of a prediction.
+
+    Raises:
+        UserError: if a value is out of range.
     """
 
     def __init__(self, views: int, valid_threshold: float) -> None:
-        self.views = int(check_range("pictures.views", views, 1, 64))
-        self.valid_threshold = check_range("pictures.valid_threshold", valid_threshold, 0.0, 1.0)
+        self.views = int(check_range("unit_images.views", views, 1, 64))
+        self.valid_threshold = check_range("unit_images.valid_threshold", valid_threshold, 0.0, 1.0)
 
     def on_validation_batch_end(
         self,
@@ -50,29 +54,29 @@ class UnitImages(Callback):
         if batch_idx > 0 or not trainer.is_global_zero:
             return
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
-        chosen = spread(batch, self.views)
-        prediction = cast(Model, pl_module).predict(chosen).maps.cpu().numpy()
-        arrays = {name: tensor.cpu().numpy() for name, tensor in chosen.items()}
+        selected = spread(batch, self.views)
+        prediction = cast(Model, pl_module).predict(selected).maps.cpu().numpy()
+        arrays = {name: tensor.cpu().numpy() for name, tensor in selected.items()}
         add_image(trainer, "views/val", draw(arrays, prediction, self.valid_threshold, data.neighbourhood))
 
 
-def spread(batch: Batch, most: int) -> Batch:
-    """Some of a batch's views, evenly spread."""
-    picks = torch.linspace(0, len(batch["rgb"]) - 1, min(most, len(batch["rgb"]))).long().tolist()
-    return {name: tensor[picks] for name, tensor in batch.items()}
+def spread(batch: Batch, max_views: int) -> Batch:
+    """Return evenly spaced views of a batch, at most `max_views`."""
+    indices = torch.linspace(0, len(batch["rgb"]) - 1, min(max_views, len(batch["rgb"]))).long().tolist()
+    return {name: tensor[indices] for name, tensor in batch.items()}
 
 
 def add_image(trainer: Trainer, tag: str, image: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Show an image in TensorBoard, where the trainer logs to it, at the last step that was done."""
+    """Add an image to the TensorBoard loggers of a trainer, at the last completed step."""
     for logger in trainer.loggers:
         if isinstance(logger, TensorBoardLogger):
             logger.experiment.add_image(tag, image, last_step(trainer), dataformats="HWC")
 
 
 def last_step(trainer: Trainer) -> int:
-    """Step that TensorBoard shows for what belongs to a round: its last, so that a checkpoint's step begins the next.
+    """Return the step at which the results of an epoch are logged: its last step, while a checkpoint has the next one.
 
-    The final test, made anew when a finished run goes on, has the step after the last.
+    The final test is logged at the step after the last, because it is repeated when a finished run is resumed.
     """
     return trainer.global_step - (0 if trainer.testing else 1)
 
@@ -83,13 +87,13 @@ def draw(
     valid_threshold: float,
     epsilon: int,
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """One row of panels for each view.
+    """Draw one row of panels for each view.
 
     Args:
-        views: a batch as arrays.
-        prediction: probabilities.
-        valid_threshold: tau_valid.
-        epsilon: kernel of M*_seen, cells.
+        views: batch as arrays.
+        prediction: probabilities of V_object.
+        valid_threshold: τ_valid.
+        epsilon: side of the kernel ε of M*_seen, cells.
     """
     valid = prediction * neighbourhood(prediction >= valid_threshold, views["seen"] > 0, epsilon)
     rows = []
@@ -110,12 +114,12 @@ def draw(
 
 
 def _grey(values: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
-    """0 to 1 as black to white."""
+    """Convert values from 0 to 1 to grey levels from black to white."""
     return np.repeat((255 * values.clip(0, 1)).astype(np.uint8)[..., None], 3, axis=2)
 
 
 def _panel(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "side side 3"]:
-    """The image at the size of a panel, with a rim."""
+    """Resize an image to the size of a panel and add a border."""
     size = PANEL - 4
     resized = cv2.resize(np.ascontiguousarray(image), (size, size), interpolation=cv2.INTER_NEAREST)
     return np.pad(resized, ((2, 2), (2, 2), (0, 0)), constant_values=128)

@@ -1,1 +1,1 @@
-"""Composing, checking and explaining configurations."""
+"""Composition, validation and error messages of configurations."""

@@ -12,7 +12,7 @@ from imagination.config.plugin_registry import activate, core_conf
 
 
 class _SearchPath(SearchPathPlugin):
-    """Lets Hydra find the conf trees of sound plugins, after the core's."""
+    """Search path that appends the conf trees of valid plugins to that of the core."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
         for plugin in activate():
@@ -20,7 +20,7 @@ class _SearchPath(SearchPathPlugin):
 
 
 def compose(config_name: str, overrides: list[str]) -> DictConfig:
-    """Compose a config as a command would, from a script or inside another command."""
+    """Compose a config as a command does, in a script or within another command."""
     if GlobalHydra.instance().is_initialized():
         return hydra.compose(config_name, overrides)
     register_plugins()
@@ -29,9 +29,9 @@ def compose(config_name: str, overrides: list[str]) -> DictConfig:
 
 
 def register_plugins() -> None:
-    """Let Hydra find the conf trees of plugins."""
-    activate()  # before Hydra looks for launchers among what can be imported
+    """Add the conf trees of plugins to the search path of Hydra."""
+    activate()  # before Hydra searches the importable packages for launchers
     if _SearchPath not in Plugins.instance().discover(SearchPathPlugin):
         Plugins.instance().register(_SearchPath)
-    # there is one store and it is only read, but --help would copy it for each of a hundred config groups
-    setattr(ConfigStore, "__deepcopy__", lambda store, memo: store)  # noqa: B010  (mypy knows no such method)
+    # the only store is read-only, but --help would copy it for each of a hundred config groups
+    setattr(ConfigStore, "__deepcopy__", lambda store, memo: store)  # noqa: B010  (unknown to mypy)

@@ -29,8 +29,8 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "scale.eval_every": (1, 1_000_000, "epochs"),
     "scale.eval_scenes": (1, 100_000, "scenes"),
     "scale.batch_size": (1, 100_000, "views"),
-    "scale.accumulate": (1, 100_000, "parts"),
-    "scale.hrnet_accumulate": (1, 100_000, "parts"),
+    "scale.accumulate": (1, 100_000, "micro-batches"),
+    "scale.hrnet_accumulate": (1, 100_000, "micro-batches"),
     "scale.epochs": (1, 10**9, "epochs"),
     "scale.learning_rate": (0.0, 10.0, ""),
     "scale.final_learning_rate": (0.0, 10.0, ""),
@@ -50,9 +50,10 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "trainer.devices": (1, 1024, "devices"),
     "trainer.num_nodes": (1, 10_000, "hosts"),
 }
-"""What is checked before anything is built; builders check what they get as well. Whole bounds mean whole numbers."""
+"""Lower bound, upper bound and unit of numeric keys. Integer bounds require a whole number."""
 
 CELL_WIDTH = (0.1, 100.0, "m")
+"""Range of the values in scale.cell_widths."""
 
 MICRO_BATCH_KEYS = {"maps": "scale.accumulate", "images": "scale.hrnet_accumulate"}
-"""Key of the number of parts that a batch is split into, by what a network predicts."""
+"""Key of the number of micro-batches of a batch, by the type of the prediction."""

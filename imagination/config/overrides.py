@@ -1,4 +1,4 @@
-"""Command-line overrides and the values of a configuration."""
+"""Parsing of command-line overrides, and the values of a configuration by dotted key."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -6,12 +6,12 @@ from typing import Any
 
 
 def sweeps(word: str) -> bool:
-    """Whether a word of a command line asks for several runs."""
+    """Return whether a word of a command line starts a sweep."""
     return word in ("-m", "--multirun") or word.lstrip("+").startswith(("sweep=", "hparams_search="))
 
 
 def leaves(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Values of a resolved config by dotted key; the class of what a node builds goes by the node's name."""
+    """Yield the values of a resolved config by dotted key; a node with a `_target_` yields the name of the class."""
     for key, value in node.items():
         if isinstance(value, dict):
             yield from leaves(value, f"{prefix}{key}.")
@@ -25,23 +25,23 @@ WHERE_AND_HOW = (
     *("paths", "cache", "callbacks", "trainer", "logger", "ckpt_path", "resume", "hydra"),
     *("sweep", "sweep_dir", "hparams_search"),
 )
-"""Nodes that say where and how a run runs, not what it trains: a checkpoint leaves overrides of them out."""
+"""Nodes that do not affect the training result; their overrides are not stored in checkpoints."""
 
 
-def choices(overrides: Sequence[str]) -> list[str]:
-    """Those overrides that say what is trained, e.g. "+experiment=chair_unet" or "seed=3"."""
+def training_overrides(overrides: Sequence[str]) -> list[str]:
+    """Return the overrides that affect the training result, e.g. "+experiment=chair_unet" or "seed=3"."""
 
-    def kept(text: str) -> bool:
-        return top(text) not in WHERE_AND_HOW and "_target_" not in text and "${" not in text
+    def affects_training(text: str) -> bool:
+        return override_group(text) not in WHERE_AND_HOW and "_target_" not in text and "${" not in text
 
-    return [text for text in overrides if kept(text)]
+    return [text for text in overrides if affects_training(text)]
 
 
-def key(override: str) -> str:
-    """What an override sets."""
+def override_key(override: str) -> str:
+    """Return the key or group that an override sets."""
     return override.lstrip("+~").partition("=")[0]
 
 
-def top(override: str) -> str:
-    """The node or group of the config that an override is about."""
-    return re.split("[@./]", key(override))[0]
+def override_group(override: str) -> str:
+    """Return the top-level node or group of an override."""
+    return re.split("[@./]", override_key(override))[0]

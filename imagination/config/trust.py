@@ -1,4 +1,4 @@
-"""Which classes a configuration read from a file may build."""
+"""Allowlist of the classes that a configuration from a file may instantiate."""
 
 import inspect
 import re
@@ -18,35 +18,35 @@ TRUSTED = (
     "torch.optim",
     "torchmetrics",
 )
-"""Where classes that a config read from a file builds may be defined, besides plugins."""
+"""Packages whose classes a config from a file may instantiate, in addition to plugins."""
 
 RESOLVER = re.compile(r"\$\{[\w.]+:")
-"""A call inside a value, such as ${oc.decode:…}, which could make a target out of text."""
+"""Pattern of a resolver call in a value, such as ${oc.decode:…}, which could build a target from text."""
 
 
 def check_targets(config: DictConfig) -> None:
-    """Check that a config read from a file builds only classes of the program, its plugins and its libraries.
+    """Check that a config from a file instantiates only classes of the project, its plugins and its libraries.
 
     Raises:
-        UserError: if a `_target_` is something else or cannot be found, or a value calls a resolver.
+        UserError: if a `_target_` is not allowed or cannot be found, or a value calls a resolver.
     """
     if call := RESOLVER.search(OmegaConf.to_yaml(config)):
         raise UserError(
             f"config: got a value with {call[0]!r}, expected plain values and references; start a new run"
         )
     allowed = {*TRUSTED, *(package for plugin in activate() for package in plugin.packages)}
-    tops = {prefix.partition(".")[0] for prefix in allowed}
+    top_packages = {prefix.partition(".")[0] for prefix in allowed}
     for target in dict.fromkeys(targets_of(OmegaConf.to_container(config))):
         try:
-            made = hydra.utils.get_object(target) if target.partition(".")[0] in tops else None
+            obj = hydra.utils.get_object(target) if target.partition(".")[0] in top_packages else None
         except (ImportError, AttributeError) as error:
             raise UserError(
-                f"_target_: got {target!r}, which cannot be found; install its plugin again"
+                f"_target_: got {target!r}, which cannot be imported; install its plugin"
             ) from error
-        # a class, or the class of a method that makes one; where it is defined counts, not the path that leads to it
-        kind = made if inspect.isclass(made) else getattr(made, "__self__", None)
-        scene = kind.__module__ if inspect.isclass(kind) else ""
-        if not any(scene == prefix or scene.startswith(f"{prefix}.") for prefix in allowed):
+        # the class, or the class of a classmethod; its module of definition counts, not the path of the import
+        cls = obj if inspect.isclass(obj) else getattr(obj, "__self__", None)
+        module = cls.__module__ if inspect.isclass(cls) else ""
+        if not any(module == prefix or module.startswith(f"{prefix}.") for prefix in allowed):
             raise UserError(
                 f"_target_: got {target!r}, expected a class defined in {', '.join(sorted(allowed))}; "
                 "if you trust it, start a new run with it"

@@ -10,18 +10,18 @@ from omegaconf.errors import OmegaConfBaseException
 from imagination.utils.errors import UserError
 
 EXTRAS: Mapping[str, str] = {"hydra/launcher/joblib": "joblib", "hydra/sweeper/optuna": "optuna"}
-"""Options that come with an extra of the project."""
+"""Extras of the project that install config options of Hydra."""
 
 
 @contextmanager
 def user_errors_reported() -> Iterator[None]:
-    """End the program with one message and exit code 2 on an error that is the user's to mend.
+    """Exit with one message and code 2 on an error that the user can correct.
 
-    Both around a task and around Hydra, which would announce the task's errors in its own way.
+    This context wraps the task, and Hydra as well, which would otherwise print the errors of the task itself.
     """
     try:
         yield
-    except KeyboardInterrupt:  # before a command has anything that could go on
+    except KeyboardInterrupt:  # before the command has a run that could be resumed
         print("Interrupted", file=sys.stderr)
         sys.exit(130)
     except Exception as error:
@@ -32,19 +32,21 @@ def user_errors_reported() -> Iterator[None]:
 
 
 def explain(error: BaseException) -> str | None:
-    """What to tell the user about an error that is theirs to mend; None if it is the program's."""
+    """Return the message for an error that the user can correct, or None for an error of the program."""
     if not isinstance(error, (UserError, HydraException, OmegaConfBaseException)):
         return None
     causes = list(_causes(error))
     for cause in causes:
-        if isinstance(cause, UserError):  # the builder of some part raised it, Hydra wrapped it
+        if isinstance(cause, UserError):  # raised by a constructor and wrapped by Hydra
             return str(cause)
     if any(not isinstance(cause, (HydraException, OmegaConfBaseException, ImportError)) for cause in causes):
         return None
     texts = dict.fromkeys(str(cause).partition("\nConfig search path")[0].strip() for cause in causes)
-    told = "\n".join(text for text in texts if not any(text in other for other in texts if other != text))
-    missing = [extra for option, extra in EXTRAS.items() if f"'{option}'" in told]
-    return "\n".join([told, *(f"Install it: pip install 'imagination[{extra}]'" for extra in missing)])
+    message = "\n".join(text for text in texts if not any(text in other for other in texts if other != text))
+    missing = [extra for option, extra in EXTRAS.items() if f"'{option}'" in message]
+    return "\n".join(
+        [message, *(f"Install it with: pip install 'imagination[{extra}]'" for extra in missing)]
+    )
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -1,4 +1,4 @@
-"""Check a composed configuration before anything is built."""
+"""Validation of a composed configuration before objects are instantiated."""
 
 import re
 import warnings
@@ -13,14 +13,14 @@ from imagination.utils.precision import PRECISIONS
 
 
 def validate(config: DictConfig) -> None:
-    """Check what the user may have got wrong before hours are spent.
+    """Check the values of a configuration.
 
     Raises:
-        UserError: on the first value out of range, with what is allowed.
+        UserError: on the first invalid value, with its key and what is allowed.
     """
     check_name(config.name)
     for key, bounds in RANGES.items():
-        if OmegaConf.select(config, key.partition(".")[0]) is not None:  # not every command has a trainer
+        if OmegaConf.select(config, key.partition(".")[0]) is not None:  # not all commands have a trainer
             _check_number(key, OmegaConf.select(config, key), *bounds)
     for key in ("scale.precision", "trainer.precision", "evaluation.precision"):
         if OmegaConf.select(config, key.partition(".")[0]) is not None:
@@ -31,7 +31,7 @@ def validate(config: DictConfig) -> None:
     if OmegaConf.select(config, "model.predicts") == "images" and epochs != sorted(epochs):
         raise UserError(
             f"scale.hrnet_epochs: got {epochs[1]}, expected scale.epochs, {epochs[0]}, to scale.hrnet_max_epochs, "
-            f"{epochs[2]}: a baseline trains as long as the units"
+            f"{epochs[2]}, so that the baseline trains at least as long as the units"
         )
     widths = config.scale.cell_widths
     if not isinstance(widths, ListConfig) or not widths:
@@ -49,7 +49,7 @@ def validate(config: DictConfig) -> None:
     if config.kernels.imaginable < config.kernels.neighbourhood:
         warnings.warn(
             f"kernels.imaginable ({config.kernels.imaginable} m) is smaller than kernels.neighbourhood "
-            f"({config.kernels.neighbourhood} m): W_gamma then covers label cells that the imaginable mask removed",
+            f"({config.kernels.neighbourhood} m): W_gamma then covers label cells outside the imaginable mask",
             stacklevel=2,
         )
 
@@ -63,10 +63,10 @@ def _check_number(key: str, value: Any, low: float, high: float, unit: str) -> N
 
 
 def check_name(name: str) -> str:
-    """Return the name of an experiment if it can be a folder's.
+    """Return the name of an experiment if it is a valid folder name.
 
     Raises:
-        UserError: if it cannot, or is one that the program uses itself.
+        UserError: if it is invalid or reserved.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name) or name in ("default", "cache", "latest"):
         raise UserError(

@@ -1,4 +1,4 @@
-"""Views as a mirror shows them: as true as the views themselves, and new to a network."""
+"""Data augmentation by horizontal flips."""
 
 import numpy as np
 from jaxtyping import Bool
@@ -6,20 +6,23 @@ from jaxtyping import Bool
 from imagination.views.collector import Views
 
 
-def mirrored(views: Views, which: Bool[np.ndarray, " n"]) -> Views:
-    """Some of the views with left and right exchanged, in images and maps alike; the others as they are.
+def mirrored(views: Views, selected: Bool[np.ndarray, " n"]) -> Views:
+    """Flip selected views horizontally, images and maps alike; copy the others unchanged.
 
-    The camera's axis is the image's middle, and the robot's column that of the egocentric grid. Poses are left out: a
-    mirrored scene has other ones.
+    The flips of images and maps agree, because the optical axis passes through the image's middle and the robot stands
+    in the middle column of the egocentric grid. Poses are left out: they differ in a mirrored scene.
 
     Args:
         views: stacked views.
-        which: those to mirror.
+        selected: mask of the views to flip.
+
+    Returns:
+        Stacked views without poses.
     """
-    turned = {}
+    flipped = {}
     for name in views.keys() - {"pose"}:
         values = views[name]
-        columns = -2 if name == "rgb" else -1  # colours come last
-        turned[name] = values.copy()
-        turned[name][which] = np.flip(values[which], columns)
-    return turned
+        axis = -2 if name == "rgb" else -1  # the last axis of rgb holds the colours
+        flipped[name] = values.copy()
+        flipped[name][selected] = np.flip(values[selected], axis)
+    return flipped

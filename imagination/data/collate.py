@@ -1,4 +1,4 @@
-"""From stored views to what a network is trained on."""
+"""Batches for training, assembled from stored views."""
 
 import numpy as np
 import torch
@@ -9,23 +9,24 @@ from imagination.views.collector import Views
 
 Batch = dict[str, Tensor]
 """rgb u8 [b 3 h w]; depth f16 [b 1 h w]; occupied, seen u8 [b 1 v v]; label, neighbourhood u8 [b c v v].
-For first-person segmentation: rgb, and segmentation u8 [b h w], 0 for none, else the category's place + 1."""
+Batches for first-person segmentation hold rgb and segmentation u8 [b h w]: 0 for background, else the category index
+plus 1."""
 
 FIELDS = {
     "maps": ("pose", "rgb", "depth", "occupied", "seen", "object"),
     "images": ("pose", "rgb", "categories"),
 }
-"""Arrays of views that batches are made of, by what a network predicts: egocentric maps or first-person images."""
+"""Arrays of views that a batch needs, by the kind of prediction: egocentric maps or first-person images."""
 
 
 def assemble(views: Views, layers: list[int], imaginable: int, neighbour: int) -> Batch:
-    """Make a batch: what a unit is given, and of its categories the label V_label and M*_seen.
+    """Assemble a batch: the inputs of a unit, the label V_label and the neighbourhood M*_seen of its categories.
 
     Args:
         views: stacked views.
-        layers: rows of the category table that the unit imagines.
-        imaginable: the kernel delta, cells.
-        neighbour: the kernel epsilon, cells.
+        layers: rows of the unit's categories in the category table.
+        imaginable: side of the kernel δ, cells.
+        neighbour: side of the kernel ε, cells.
     """
     target = views["object"][:, layers]
     seen = views["seen"][:, None]
@@ -33,28 +34,28 @@ def assemble(views: Views, layers: list[int], imaginable: int, neighbour: int) -
         "label": label(target, seen, imaginable),
         "neighbourhood": neighbourhood(target, seen, neighbour),
     }
-    return {**observations(views), **{name: _as_bytes(value) for name, value in maps.items()}}
+    return {**observations(views), **{name: _to_uint8(value) for name, value in maps.items()}}
 
 
 def assemble_images(views: Views, layers: list[int]) -> Batch:
-    """Make a batch for first-person segmentation into some categories.
+    """Assemble a batch for first-person segmentation.
 
     Args:
         views: stacked views.
-        layers: rows of the category table that are told apart; all others are none.
+        layers: rows of the segmented categories in the category table; all other rows become background.
     """
-    place = np.zeros(256, np.uint8)
-    place[np.array(layers) + 1] = np.arange(1, len(layers) + 1)
-    return {"rgb": _channels_first(views), "segmentation": torch.from_numpy(place[views["categories"]])}
+    lookup = np.zeros(256, np.uint8)
+    lookup[np.array(layers) + 1] = np.arange(1, len(layers) + 1)
+    return {"rgb": _channels_first(views), "segmentation": torch.from_numpy(lookup[views["categories"]])}
 
 
 def observations(views: Views) -> Batch:
-    """What a unit is given of views: rgb, depth, occupied and seen."""
+    """Return the inputs of a unit: rgb, depth, occupied and seen."""
     return {
         "rgb": _channels_first(views),
         "depth": torch.from_numpy(views["depth"])[:, None],
-        "occupied": _as_bytes(views["occupied"][:, None]),
-        "seen": _as_bytes(views["seen"][:, None]),
+        "occupied": _to_uint8(views["occupied"][:, None]),
+        "seen": _to_uint8(views["seen"][:, None]),
     }
 
 
@@ -62,5 +63,5 @@ def _channels_first(views: Views) -> Tensor:
     return torch.from_numpy(views["rgb"]).permute(0, 3, 1, 2)  # stays channels-last in memory
 
 
-def _as_bytes(mask: np.ndarray) -> Tensor:
+def _to_uint8(mask: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(mask)).to(torch.uint8)

@@ -1,4 +1,4 @@
-"""The data of a run: scenes, the views looked at in them, and batches made of these."""
+"""Data of a run: scenes, the views rendered in them, and batches of these views."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
@@ -15,34 +15,35 @@ from imagination.utils.cache import as_plain
 from imagination.utils.errors import UserError, check_choice, check_range
 from imagination.utils.process_group import global_rank, rotated_by_rank, world_size
 from imagination.utils.progress import progress
-from imagination.views.collector import Collector, PoseSampler, Views, concatenate, look
+from imagination.views.collector import Collector, PoseSampler, Views, concatenate, render_views
 from imagination.views.observer import Observer
 from imagination.views.random_streams import Stream
 from imagination.views.scene_workers import ScenePool
 
 
 class SceneData(LightningDataModule):
-    """Views of a scene source's scenes, as batches.
+    """Batches of views rendered in the scenes of a scene source.
 
-    Training batches come from the replay-buffer callback, which puts them into `epochs`; those of validation and test
-    are the same fixed views in each run, whatever its seed.
+    Training batches come from the replay-buffer callback, which sets `epochs`. Validation and test batches hold fixed
+    views, which are the same in every run, whatever its seed.
 
     Args:
-        observer: what a view looks like.
+        observer: renderer of views and their egocentric maps.
         unit_categories: names of the categories that the unit imagines.
-        sampler: draws training poses in a scene.
-        eval_sampler: draws the poses of validation and test views.
-        imaginable: kernel delta, metres.
-        neighbourhood: kernel epsilon, metres.
-        seed: of the run.
-        parallel_scenes: scenes looked at in one collection.
-        batch_size: views in a batch, of all processes that train together; in validation and test up to twice as many.
-        eval_views: number of views for validation and test.
-        workers: processes that render; 0 renders in the main process.
-        predicts: what batches are for: networks of egocentric "maps", or of first-person "images".
+        sampler: sampler of training poses.
+        eval_sampler: sampler of validation and test poses.
+        imaginable: side of the kernel δ, metres.
+        neighbourhood: side of the kernel ε, metres.
+        seed: seed of the run.
+        parallel_scenes: number of scenes in one collection, summed over all training processes.
+        batch_size: number of views in a batch, summed over all training processes; validation and test batches hold
+            up to twice as many.
+        eval_views: number of validation and test views.
+        workers: number of rendering processes; 0 renders in the main process.
+        predicts: kind of prediction: egocentric "maps" or first-person "images".
 
     Raises:
-        UserError: on a value out of range or an unknown category.
+        UserError: if a value is out of range or a category is unknown.
     """
 
     def __init__(
@@ -76,17 +77,17 @@ class SceneData(LightningDataModule):
         self.epochs: Iterable[Batch] | None = None
         self._pool: ScenePool | None = None
         self._surveyed: set[Split] = set()
-        self._held_out: dict[Split, Views] = {}
+        self._eval_views: dict[Split, Views] = {}
 
     @property
     def pool(self) -> ScenePool:
-        """The workers that render, started at first use and kept until `close`."""
+        """Pool of rendering workers, started at first use and kept until `close`."""
         if self._pool is None:
             self._pool = ScenePool(self.observer, self.workers)
         return self._pool
 
     def close(self) -> None:
-        """Stop the workers."""
+        """Stop the rendering workers."""
         if self._pool is not None:
             self._pool.close()
             self._pool = None
@@ -97,7 +98,7 @@ class SceneData(LightningDataModule):
             self.survey(split)
 
     def survey(self, split: Split) -> None:
-        """Build the scenes of a split and their ground truth, in parallel.
+        """Build the scenes of a split and their ground truth in parallel.
 
         Raises:
             UserError: if no scene of the split contains one of the unit's categories.
@@ -110,29 +111,29 @@ class SceneData(LightningDataModule):
         for name, layer in zip(self.unit_categories, self.layers, strict=True):
             if not counts[:, layer].any():
                 raise UserError(
-                    f"category {name!r}: none of the {len(names)} scenes of the split {split!r} contains one; "
-                    "choose another category or scene source, or more scenes"
+                    f"category {name!r}: got no object in the {len(names)} scenes of the split {split!r}, expected at "
+                    "least one; choose another category or scene source, or use more scenes"
                 )
         self._surveyed.add(split)
 
     def collector(self, steps: int) -> Collector:
-        """The collector of training views; a collection takes `steps` steps.
+        """Return the collector of training views, with `steps` steps per collection.
 
-        Of several processes that train together, each has scenes of its own and its part of the parallel ones.
+        Training processes divide the scenes and the parallel scenes among themselves.
         """
         scenes = self.observer.source.scenes("train")[global_rank() :: world_size()]
-        share = self.parallel_scenes // world_size()
+        parallel = self.parallel_scenes // world_size()
         return Collector(
-            self.pool, scenes, self.sampler, self.seed, share, steps, first_slot=global_rank() * share
+            self.pool, scenes, self.sampler, self.seed, parallel, steps, first_slot=global_rank() * parallel
         )
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Arrays of views that `assemble` needs."""
+        """Names of the arrays of views that `assemble` needs."""
         return FIELDS[self.predicts]
 
     def assemble(self, views: Views) -> Batch:
-        """A batch for the unit's categories."""
+        """Assemble a batch for the unit's categories."""
         if self.predicts == "images":
             return assemble_images(views, self.layers)
         return assemble(views, self.layers, self.imaginable, self.neighbourhood)
@@ -140,63 +141,75 @@ class SceneData(LightningDataModule):
     def train_dataloader(self) -> Iterable[Batch]:
         if self.epochs is None:
             raise UserError(
-                "training: got no replay buffer; add callbacks.replay_buffer, which collects the views"
+                "callbacks.replay_buffer: got none, expected the callback that collects training views; "
+                "add replay_buffer to callbacks"
             )
         return self.epochs
 
     @cached_property
-    def trained_homes(self) -> dict[str, str]:
-        """Names and fingerprints of the scenes of training."""
+    def training_scenes(self) -> dict[str, str]:
+        """Fingerprints of the training scenes by name."""
         source = self.observer.source
         return {scene: source.fingerprint(scene) for scene in source.scenes("train")}
 
     def state_dict(self) -> dict[str, Any]:
-        """Part of checkpoints: an evaluation must not look into scenes of training."""
-        return {"scenes": self.trained_homes}
+        """Return the training scenes for checkpoints, so that an evaluation can refuse to use them."""
+        return {"scenes": self.training_scenes}
 
     def val_dataloader(self) -> DataLoader[Batch]:
-        return self._batches_of("val")
+        return self._eval_dataloader("val")
 
     def test_dataloader(self) -> DataLoader[Batch]:
-        return self._batches_of("test")
+        return self._eval_dataloader("test")
 
-    def _batches_of(self, split: Split) -> DataLoader[Batch]:
-        if split not in self._held_out:
-            self._held_out[split] = self._look_at(split)
-        views = self._held_out[split]
-        count = max(len(views["pose"]) // self.batch_size, 1)  # so that none is smaller than in training
+    def _eval_dataloader(self, split: Split) -> DataLoader[Batch]:
+        if split not in self._eval_views:
+            self._eval_views[split] = self._render_eval_views(split)
+        views = self._eval_views[split]
+        count = max(len(views["pose"]) // self.batch_size, 1)  # no batch is smaller than in training
         parts = {name: np.array_split(values, count) for name, values in views.items()}
-        batches = [  # of each batch, processes that train together take every so manieth view, none twice
-            self.assemble({name: part[place][global_rank() :: world_size()] for name, part in parts.items()})
-            for place in range(count)
+        batches = [  # each rank takes every world_size-th view of a batch, without overlap
+            self.assemble({name: part[index][global_rank() :: world_size()] for name, part in parts.items()})
+            for index in range(count)
         ]
         return DataLoader(batches, batch_size=None)  # type: ignore[arg-type]  # a list is a map-style data set
 
-    def _look_at(self, split: Split) -> Views:
-        """The fixed views of a split, spread evenly over its scenes."""
+    def _render_eval_views(self, split: Split) -> Views:
+        """Return the fixed views of a split, spread evenly over its scenes."""
         names = self.observer.source.scenes(split)
-        share, rest = divmod(self.eval_views[split], len(names))
+        per_scene, remainder = divmod(self.eval_views[split], len(names))
+        counts = [per_scene + (index < remainder) for index in range(len(names))]
         tasks = [
-            self.pool.submit(eval_views, name, self.eval_sampler, place, share + (place < rest))
-            for place, name in enumerate(names)
-            if share + (place < rest)
+            self.pool.submit(eval_views, name, self.eval_sampler, index, count)
+            for index, (name, count) in enumerate(zip(names, counts, strict=True))
+            if count
         ]
-        return concatenate([task.result() for task in progress(tasks, f"views of unseen scenes ({split})")])
+        return concatenate([task.result() for task in progress(tasks, f"evaluation views ({split})")])
 
 
 def count_ground_truth(observer: Observer, scene: str) -> list[int]:
-    """Cells of ground truth of each category in a scene, which builds or loads its maps."""
-    truth: list[int] = observer.truth(scene).truth.sum(axis=(1, 2)).tolist()
-    return truth
+    """Return the number of ground-truth cells of each category in a scene; build its maps if they are not cached."""
+    counts: list[int] = observer.ground_truth(scene).truth.sum(axis=(1, 2)).tolist()
+    return counts
 
 
-def eval_views(observer: Observer, scene: str, sampler: PoseSampler, place: int, count: int) -> Views:
-    """Views of a scene that are the same in every run, from the cache where they are kept."""
+def eval_views(observer: Observer, scene: str, sampler: PoseSampler, index: int, count: int) -> Views:
+    """Return the evaluation views of a scene, which are the same in every run, from the cache if they are stored.
+
+    Args:
+        observer: renderer of views.
+        scene: name of the scene.
+        sampler: sampler of poses.
+        index: index of the scene in its split, which seeds the poses.
+        count: number of views.
+    """
     key: dict[str, Any] = {
         "view": observer.view_key(scene),
         "sampler": as_plain(sampler),
-        "place": place,
+        "place": index,
         "count": count,
     }
-    seed = (0, Stream.EVAL_VIEWS, place)
-    return observer.cache.get_or_build("views", key, lambda: look(observer, scene, sampler, seed, count))
+    seed = (0, Stream.EVAL_VIEWS, index)
+    return observer.cache.get_or_build(
+        "views", key, lambda: render_views(observer, scene, sampler, seed, count)
+    )

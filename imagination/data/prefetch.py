@@ -1,4 +1,4 @@
-"""Items made by threads while earlier ones are in use."""
+"""Prefetching of items by threads."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -8,23 +8,23 @@ from typing import TypeVar
 Item = TypeVar("Item")
 
 
-def ahead(make: Callable[[int], Item], count: int, threads: int) -> Iterator[Item]:
-    """make(0), make(1), … up to `count` in their order, by as many threads, which are as many items ahead.
+def prefetch(make: Callable[[int], Item], count: int, threads: int) -> Iterator[Item]:
+    """Yield make(0), …, make(count - 1) in order, computed up to `threads` items ahead.
 
-    What `make` raises is raised in that item's turn. Closing the iterator waits for the items that are being made.
+    An exception of `make` is raised when its item is due. Closing the iterator waits for the items in progress.
 
     Args:
-        make: an item; which one depends on the number alone, and several are made at once.
-        count: of items.
-        threads: 0 makes each item when it is asked for, in the thread that asks.
+        make: function of an item's number alone, called in several threads at once.
+        count: number of items.
+        threads: number of threads; 0 computes each item in the calling thread when it is requested.
     """
     if threads == 0:
         yield from map(make, range(count))
         return
     with ThreadPoolExecutor(threads) as pool:
-        waiting = deque(pool.submit(make, number) for number in range(min(threads, count)))
+        pending = deque(pool.submit(make, number) for number in range(min(threads, count)))
         for number in range(threads, threads + count):
-            item = waiting.popleft().result()
+            item = pending.popleft().result()
             if number < count:
-                waiting.append(pool.submit(make, number))
+                pending.append(pool.submit(make, number))
             yield item

@@ -1,4 +1,4 @@
-"""The replay buffer: the most recent views, stored compactly, and the batches drawn from them."""
+"""Replay buffer: compact storage of the most recent views, from which batches are drawn."""
 
 import numpy as np
 
@@ -7,17 +7,18 @@ from imagination.views.collector import Views
 
 
 class ReplayBuffer:
-    """A ring of views: rgb uint8, depth float16, masks as packed bits.
+    """Ring buffer of views: rgb as uint8, depth as float16, masks as packed bits.
 
-    Batches mix old and new as registration does: a share `aggregation_factor` of each comes from the aggregated past,
-    the rest from the newest collection; no view comes twice in a batch. Without a past all come from the newest.
+    Batches mix old and new views as map registration does: a fraction `aggregation_factor` of each batch comes from
+    older views, the rest from the newest collection. Without older views, the whole batch comes from the newest
+    collection. No view occurs twice in a batch.
 
     Args:
-        size: views that are kept; the oldest make room.
-        aggregation_factor: 0 to 1.
+        size: capacity, views.
+        aggregation_factor: fraction of older views in a batch, 0 to 1.
 
     Raises:
-        UserError: if either is out of range.
+        UserError: if a value is out of range.
     """
 
     def __init__(self, size: int, aggregation_factor: float) -> None:
@@ -32,7 +33,7 @@ class ReplayBuffer:
         return min(self._inserted, self.size)
 
     def insert(self, views: Views) -> None:
-        """Add a collection, which becomes the newest; the oldest views make room.
+        """Insert a collection as the newest one; the oldest views are overwritten.
 
         Raises:
             UserError: if the collection is larger than the buffer.
@@ -40,13 +41,13 @@ class ReplayBuffer:
         count = len(views["pose"])
         if count > self.size:
             raise UserError(
-                f"buffer size: got {self.size} views, expected at least the {count} of one collection; "
+                f"buffer size: got {self.size} views, expected at least {count}, the size of one collection; "
                 "raise scale.buffer_size or lower scale.parallel_scenes"
             )
         rows = np.arange(self._inserted, self._inserted + count) % self.size
         for name, values in views.items():
             packed = _pack(values)
-            if name not in self._store:  # pages are only taken once they are written
+            if name not in self._store:  # memory pages are allocated when they are written
                 self._store[name] = np.zeros((self.size, *packed.shape[1:]), packed.dtype)
                 self._shapes[name] = values.shape[1:] if values.dtype == bool else ()
             self._store[name][rows] = packed
@@ -54,28 +55,29 @@ class ReplayBuffer:
         self._newest = count
 
     def settle(self) -> None:
-        """Make all views equally old: nothing more is collected, so none of them is newer than the others."""
+        """Treat all views as equally old, once no more views are collected."""
         self._newest = len(self)
 
     def draw(self, batch_size: int, rng: np.random.Generator) -> Views:
-        """Draw a batch of views, old ones first.
+        """Draw a batch of views, older ones first.
 
         Raises:
             UserError: if the buffer holds too few views for a batch without repetition.
         """
-        past, newest = len(self) - self._newest, self._newest
-        old = round(self.aggregation_factor * batch_size) if past else 0
-        if old > past or batch_size - old > newest:
+        older, newest = len(self) - self._newest, self._newest
+        from_older = round(self.aggregation_factor * batch_size) if older else 0
+        from_newest = batch_size - from_older
+        if from_older > older or from_newest > newest:
             raise UserError(
-                f"batch_size: got {batch_size}, of which {old} views from the past and {batch_size - old} from "
-                f"the newest collection, but the buffer holds {past} and {newest}; lower scale.batch_size or raise "
+                f"batch_size: got {batch_size} ({from_older} older views and {from_newest} of the newest collection), "
+                f"expected at most the {older} and {newest} views in the buffer; lower scale.batch_size or raise "
                 "scale.prefill_steps or scale.update_interval"
             )
         first = self._inserted - len(self)
         picks = np.concatenate(
             [
-                first + rng.choice(past, old, replace=False) if old else np.empty(0, np.int64),
-                first + past + rng.choice(newest, batch_size - old, replace=False),
+                first + rng.choice(older, from_older, replace=False) if from_older else np.empty(0, np.int64),
+                first + older + rng.choice(newest, from_newest, replace=False),
             ]
         )
         rows = picks % self.size

@@ -1,4 +1,4 @@
-"""Checkpoints to files that run without training's code: ONNX and torch.export, each checked on real views."""
+"""Export of checkpoints to ONNX and torch.export, and comparison of the files with PyTorch on rendered views."""
 
 import warnings
 from collections.abc import Sequence
@@ -19,10 +19,10 @@ from imagination.evaluation.metrics import count, iou
 from imagination.geometry.morphology import kernel_cells
 from imagination.ground_truth.targets import label
 from imagination.mapping.predictor import (
-    ImaginationModule,
+    MapPredictor,
     Observation,
     UnitSpec,
-    joined,
+    join_specs,
     valid_imagination,
 )
 from imagination.models.encoders import TimmEncoder
@@ -33,21 +33,27 @@ from imagination.utils.errors import require_extra
 from imagination.views.observer import Observer
 from imagination.views.pose_samplers import sample_poses
 
+TOLERANCE = 1e-4
+"""Largest difference of a float32 file's probabilities from PyTorch."""
+
+MAX_IOU_LOSS = 0.005
+"""Largest loss of egocentric IoU of a file at lower precision, in each category."""
+
 
 class Sample(NamedTuple):
-    """A real view: what the units are given, and what they were trained to answer."""
+    """Rendered view: the observation and the label of the units."""
 
     observation: Observation
     label: Bool[np.ndarray, "c v v"]
 
 
 class Check(NamedTuple):
-    """How a file compares with PyTorch.
+    """Comparison of a file with PyTorch.
 
     Attributes:
-        difference: largest, of probabilities.
-        iou, reference_iou: of each category's egocentric map with the labels, pooled over views, at the category's
-            threshold; of the file and of PyTorch. Those that no label holds are left out: nothing can be said of them.
+        difference: largest absolute difference of the probabilities.
+        iou, reference_iou: IoU of each category's egocentric map with the labels, pooled over views, at the category's
+            threshold, for the file and for PyTorch. Categories that are in no label are left out.
     """
 
     difference: float
@@ -56,18 +62,18 @@ class Check(NamedTuple):
 
     @property
     def loss(self) -> float:
-        """Of IoU, in the category that loses most."""
+        """Largest loss of IoU among the categories."""
         return max(self.reference_iou[name] - value for name, value in self.iou.items())
 
-    def told(self) -> str:
-        """The IoU of all categories, for people."""
+    def summary(self) -> str:
+        """Format the IoU of all categories."""
         return ", ".join(
             f"{name} {value:.4f} (PyTorch {self.reference_iou[name]:.4f})" for name, value in self.iou.items()
         )
 
 
 class InBfloat16(nn.Module):
-    """Units whose convolutions are computed in bfloat16; places in the grid stay exact."""
+    """Units whose convolutions run in bfloat16; grid coordinates stay exact."""
 
     def __init__(self, module: Probabilities) -> None:
         super().__init__()
@@ -85,27 +91,25 @@ def export(
     format: str,
     precision: str,
     calibration: Sequence[Sample],
-    look_once: bool = False,
 ) -> None:
-    """Write the units of some checkpoints, side by side, into one file.
+    """Write the units of several checkpoints into one file.
 
     Args:
-        checkpoints: of different categories, trained with the same camera and grid.
-        path: of the file.
+        checkpoints: checkpoints of different categories, trained with the same camera and grid.
+        path: path of the file.
         format: onnx or torch_export.
-        precision: one that the format has; see `PRECISIONS`.
-        calibration: views that int8's ranges are taken from; one of them is traced.
-        look_once: see `Probabilities`.
+        precision: precision of the format; see `PRECISIONS`.
+        calibration: views for the ranges of int8; the first one is traced.
 
     Raises:
-        UserError: if what writes the format is not installed, a checkpoint gives no maps, the units do not fit
-            together, or the disk is full.
+        UserError: if the exporter is not installed, a checkpoint does not predict maps, the units do not fit together,
+            or the disk is full.
     """
-    units, descriptions = zip(*map(TrainedUnit.of, checkpoints), strict=True)
-    module, spec = Probabilities(list(units), look_once), reduce(joined, descriptions)
-    text = spec.to_json(precision=precision, normalisation=normalisation(module), look_once=look_once)
+    units, specs = zip(*map(TrainedUnit.of, checkpoints), strict=True)
+    module, spec = Probabilities(list(units)), reduce(join_specs, specs)
+    text = spec.to_json(precision=precision, normalisation=normalisation(module))
     example = inputs(calibration[0].observation)
-    with torch.no_grad(), warnings.catch_warnings():  # torch's own, about its exporter
+    with torch.no_grad(), warnings.catch_warnings():  # warnings of torch's exporter
         warnings.simplefilter("ignore")
         traced = InBfloat16(module) if precision == "bfloat16" else module
         program = torch.export.export(traced, example)
@@ -117,34 +121,34 @@ def export(
 
 
 def write_onnx(program: Any, path: Path, text: str, calibration: Sequence[Sample]) -> None:
-    """Write a program as ONNX with our description in it; convolutions in int8 if there are views to calibrate with.
+    """Write a program as ONNX with the unit specification `text`; convolutions are int8 if `calibration` is not empty.
 
     Raises:
         UserError: if the packages that write ONNX are not installed.
     """
-    for package in ("onnx", "onnxscript"):  # torch's exporter needs the latter
+    for package in ("onnx", "onnxscript"):  # torch's exporter needs onnxscript
         require_extra(package, "onnx")
     import onnx
 
-    written = torch.onnx.export(
+    exported = torch.onnx.export(
         program,
         input_names=list(NAMES),
         output_names=["probabilities"],
         dynamo=True,
         verbose=False,
     )
-    assert written is not None, "the exporter with dynamo returns a program"
-    model = written.model_proto
+    assert exported is not None, "the exporter with dynamo returns a program"
+    model = exported.model_proto
     with replacing(path) as temporary:
         if calibration:
-            model = quantised(model, temporary, calibration)
+            model = quantise(model, temporary, calibration)
         entry = model.metadata_props.add()
         entry.key, entry.value = KEY, text
         onnx.save(model, temporary)
 
 
-def quantised(model: Any, scratch: Path, calibration: Sequence[Sample]) -> Any:
-    """A copy of an ONNX model whose convolutions are computed in int8, their ranges taken from views."""
+def quantise(model: Any, scratch: Path, calibration: Sequence[Sample]) -> Any:
+    """Return a copy of an ONNX model with int8 convolutions whose ranges are calibrated on views."""
     import onnx
     from onnxruntime.quantization import (
         CalibrationDataReader,
@@ -170,7 +174,7 @@ def quantised(model: Any, scratch: Path, calibration: Sequence[Sample]) -> Any:
         quant_format=QuantFormat.QDQ,
         op_types_to_quantize=["Conv"],
         per_channel=True,
-        calibrate_method=CalibrationMethod.Percentile,  # with the whole range, a few large values cost all others
+        calibrate_method=CalibrationMethod.Percentile,  # the full range would be dominated by a few large values
         activation_type=QuantType.QUInt8,
         weight_type=QuantType.QInt8,
     )
@@ -178,7 +182,7 @@ def quantised(model: Any, scratch: Path, calibration: Sequence[Sample]) -> Any:
 
 
 def sample_views(config: DictConfig, split: Split, count: int) -> list[Sample]:
-    """Views of scenes of a split, as the checkpoint's run looked at them, a few a scene."""
+    """Render views of a split's scenes with the observer of a checkpoint's run, a few per scene."""
     observer: Observer = instantiate(config.data.observer)
     layers = [observer.categories.index(name) - 1 for name in config.unit_categories]
     kernel = kernel_cells(config.kernels.imaginable, observer.ego.resolution)
@@ -186,50 +190,52 @@ def sample_views(config: DictConfig, split: Split, count: int) -> list[Sample]:
     scenes = observer.source.scenes(split)[: max(2, count // 8)]
     samples = []
     for number, scene in enumerate(scenes):
-        share = len(range(number, count, len(scenes)))
-        for pose in sample_poses(observer.scene(scene).free_space, share, rng):
+        views_of_scene = len(range(number, count, len(scenes)))
+        for pose in sample_poses(observer.scene(scene).free_space, views_of_scene, rng):
             view = observer.observe(scene, pose, rng)
-            seen = Observation(view.rgb, view.depth, view.occupied, view.seen, observer.camera.mount_height)
-            samples.append(Sample(seen, label(view.object[layers], view.seen[None], kernel)))
+            observation = Observation(
+                view.rgb, view.depth, view.occupied, view.seen, observer.camera.mount_height
+            )
+            samples.append(Sample(observation, label(view.object[layers], view.seen[None], kernel)))
     return samples
 
 
-def compare(module: ImaginationModule, reference: ImaginationModule, samples: Sequence[Sample]) -> Check:
-    """Ask two modules about the same views."""
-    known, difference = module.spec, 0.0
-    counts = np.zeros((2, len(known.categories), 3), np.int64)
+def compare(predictor: MapPredictor, reference: MapPredictor, samples: Sequence[Sample]) -> Check:
+    """Compare the predictions of two predictors on the same views."""
+    spec, difference = predictor.spec, 0.0
+    counts = np.zeros((2, len(spec.categories), 3), np.int64)
     for sample in samples:
-        answers = [each(sample.observation) for each in (module, reference)]
-        difference = max(difference, float(np.abs(answers[0] - answers[1]).max()))
-        for total, answer in zip(counts, answers, strict=True):
-            found = egocentric_map(answer, sample.observation.seen, known)
-            total += [count(*each) for each in zip(found, sample.label, strict=True)]
-    held = counts[0, :, 2] > 0
-    ours, theirs = (
+        predictions = [each(sample.observation) for each in (predictor, reference)]
+        difference = max(difference, float(np.abs(predictions[0] - predictions[1]).max()))
+        for total, prediction in zip(counts, predictions, strict=True):
+            objects = egocentric_map(prediction, sample.observation.seen, spec)
+            total += [count(*pair) for pair in zip(objects, sample.label, strict=True)]
+    in_labels = counts[0, :, 2] > 0
+    predictor_iou, reference_iou = (
         {
             name: float(value)
-            for name, value, there in zip(known.categories, iou(total), held, strict=True)
-            if there
+            for name, value, present in zip(spec.categories, iou(total), in_labels, strict=True)
+            if present
         }
         for total in counts
     )
-    return Check(difference, ours, theirs)
+    return Check(difference, predictor_iou, reference_iou)
 
 
 def egocentric_map(
-    probabilities: Float32[np.ndarray, "c v v"], seen: Bool[np.ndarray, "v v"], known: UnitSpec
+    probabilities: Float32[np.ndarray, "c v v"], seen: Bool[np.ndarray, "v v"], spec: UnitSpec
 ) -> Bool[np.ndarray, "c v v"]:
-    """The objects of an answer, as training scores them: V_valid from the categories' thresholds on."""
-    said = valid_imagination(
-        probabilities, seen[None], known.valid_threshold, known.valid_kernel, known.ego.resolution
+    """Return the object cells of a prediction as scored in training: V_valid at the categories' thresholds."""
+    evidence = valid_imagination(
+        probabilities, seen[None], spec.valid_threshold, spec.valid_kernel, spec.ego.resolution
     )
-    thresholds = np.array(known.thresholds, np.float32)[:, None, None]
-    objects: Bool[np.ndarray, "c v v"] = said.values >= thresholds
+    thresholds = np.array(spec.thresholds, np.float32)[:, None, None]
+    objects: Bool[np.ndarray, "c v v"] = evidence.values >= thresholds
     return objects
 
 
 def normalisation(module: Probabilities) -> list[dict[str, Any]]:
-    """What each unit does to colours, 0 to 255, itself."""
+    """Return the normalisation of colours (0 to 255) that each unit applies."""
     encoders = [part for part in module.modules() if isinstance(part, TimmEncoder)]
     return [
         {"mean": encoder.mean.flatten().tolist(), "deviation": encoder.deviation.flatten().tolist()}

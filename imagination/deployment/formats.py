@@ -1,7 +1,7 @@
-"""What units can be exported to."""
+"""Formats and precisions of exported units."""
 
 SUFFIXES = {"onnx": ".onnx", "torch_export": ".pt2"}
-"""Of each format's files."""
+"""File name suffix of each format."""
 
 PRECISIONS = {"onnx": ("float32", "int8"), "torch_export": ("bfloat16", "float32")}
-"""That each format can be written in."""
+"""Precisions of each format."""

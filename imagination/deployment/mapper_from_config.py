@@ -1,4 +1,4 @@
-"""A mapper as conf/mapper.yaml describes it."""
+"""Construction of a semantic mapper from conf/mapper.yaml."""
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -8,13 +8,13 @@ from imagination.deployment.load import load
 from imagination.geometry.grid import Grid
 from imagination.geometry.rgbd import RgbdCamera
 from imagination.mapping.map_io import load_layer
-from imagination.mapping.predictor import ImaginationModule
+from imagination.mapping.predictor import MapPredictor
 from imagination.mapping.semantic_mapper import SemanticMapper
 from imagination.utils.errors import UserError, check_range
 
 
 def validate(config: DictConfig) -> None:
-    """Check what the user may have got wrong before anything is read.
+    """Check the values of the config before any file is read.
 
     Raises:
         UserError: on the first value that is missing or out of range.
@@ -24,18 +24,12 @@ def validate(config: DictConfig) -> None:
         raise UserError("unit: got none, expected an .onnx, .pt2 or .ckpt file: unit=…")
     check_range("aggregation_factor", config.aggregation_factor, 0.0, 1.0)
     check_range("floor_height", config.floor_height, -1000.0, 1000.0, "m")
-    if config.max_speed is not None:
-        check_range("max_speed", config.max_speed, 0.0, 1e4, "m/s", open_low=True)
     if config.threshold is not None:
         check_range("threshold", config.threshold, 0.0, 1.0, open_low=True)
-    for name in ("field_of_view", "vertical_field_of_view", "tilt"):
-        check_range(f"limits.{name}", config.limits[name], 0.0, 180.0, "degrees")
-    check_range("limits.mount_height", config.limits.mount_height, 0.0, 180.0, "m")
-    check_range("limits.resolution", config.limits.resolution, 1.0, 1000.0, "times fewer pixels a degree")
 
 
-def module_of(config: DictConfig) -> ImaginationModule:
-    """The trained units that `unit` names.
+def predictor_of(config: DictConfig) -> MapPredictor:
+    """Load the trained units of `unit`.
 
     Raises:
         UserError: see `load`.
@@ -44,9 +38,15 @@ def module_of(config: DictConfig) -> ImaginationModule:
 
 
 def mapper_of(
-    config: DictConfig, module: ImaginationModule, camera: RgbdCamera, world: str = "map"
+    config: DictConfig, predictor: MapPredictor, camera: RgbdCamera, world: str = "map"
 ) -> SemanticMapper:
-    """The mapper of a robot with this camera; `world` is the frame of its map unless the config names one.
+    """Build the semantic mapper.
+
+    Args:
+        config: config of the command.
+        predictor: trained units.
+        camera: camera of the robot.
+        world: frame of the map if the config has none.
 
     Raises:
         UserError: see `SemanticMapper`.
@@ -57,15 +57,14 @@ def mapper_of(
             x, y = map(float, config.centre)
         except (TypeError, ValueError) as error:
             raise UserError(f"centre: got {config.centre}, expected [x, y] in metres") from error
-        grid = Grid.centred(config.extent, module.spec.ego.resolution, (x, y))
+        grid = Grid.centred(config.extent, predictor.spec.ego.resolution, (x, y))
     return SemanticMapper(
-        module,
+        predictor,
         camera,
         instantiate(config.mapping.registration),
         grid,
         config.floor_height,
         config.frame or world,
-        instantiate(config.limits),
         load_layer(config.start) if config.start else None,
         config.threshold,
     )

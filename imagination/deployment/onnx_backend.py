@@ -1,4 +1,4 @@
-"""Units that run on onnxruntime, without torch."""
+"""Inference of exported units with onnxruntime, without torch."""
 
 from pathlib import Path
 
@@ -9,21 +9,21 @@ from imagination.mapping.predictor import Observation, UnitSpec
 from imagination.utils.errors import UserError, require_extra
 
 KEY = "imagination"
-"""Of our description in the file's metadata."""
+"""Metadata key of the unit specification."""
 
 NAMES = ("rgb", "depth", "occupied", "seen", "mount_height")
-"""Of the inputs, in order."""
+"""Names of the inputs, in order."""
 
 
 class OnnxModule:
-    """An .onnx file of imagination.export.
+    """Predictor of an .onnx file of imagination.export.
 
     Args:
-        path: of the file.
-        threads: of one frame; all cores if 0.
+        path: path of the file.
+        threads: number of threads per prediction; all cores if 0.
 
     Raises:
-        UserError: if onnxruntime is not installed, or the file is broken or not ours.
+        UserError: if onnxruntime is not installed, or the file is damaged or was not written by imagination.export.
     """
 
     def __init__(self, path: Path, threads: int = 0) -> None:
@@ -33,16 +33,16 @@ class OnnxModule:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
-        try:  # from memory: such a file cannot refer to others
+        try:  # a model in memory cannot refer to external files
             self._session = onnxruntime.InferenceSession(
                 path.read_bytes(), options, providers=["CPUExecutionProvider"]
             )
             metadata = self._session.get_modelmeta().custom_metadata_map
             self._inputs = {node.name for node in self._session.get_inputs()}
-        except Exception as error:  # onnxruntime exports no common type of its own
+        except Exception as error:  # onnxruntime has no public base class of its errors
             raise UserError(f"{path}: cannot be read as ONNX ({error}); export it again") from error
         if KEY not in metadata:
-            raise UserError(f"{path}: was not written by imagination.export")
+            raise UserError(f"{path}: was not written by imagination.export, got no metadata {KEY!r}")
         self.spec = UnitSpec.from_json(metadata[KEY], str(path))
 
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
@@ -52,7 +52,7 @@ class OnnxModule:
 
 
 def arrays(observation: Observation) -> dict[str, np.ndarray]:
-    """An observation as a unit takes it: a batch of one, with the types that training gave it."""
+    """Convert an observation to the inputs of a unit: a batch of one with the data types of training."""
     values = (
         np.ascontiguousarray(observation.rgb.transpose(2, 0, 1)[None]),
         observation.depth.astype(np.float16)[None, None],

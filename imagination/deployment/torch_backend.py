@@ -1,4 +1,4 @@
-"""Units that run on torch: checkpoints as training wrote them, and programs of torch.export."""
+"""Inference of units with torch: checkpoints of training and programs of torch.export."""
 
 import logging
 import os
@@ -27,28 +27,24 @@ from imagination.runs.checkpoint import Checkpoint
 from imagination.utils.errors import UserError
 
 ENTRY = "imagination.json"
-"""Our description in a file of torch.export."""
+"""Name of the unit specification in a file of torch.export."""
 
 PLAIN_DATA = {"TORCH_FORCE_WEIGHTS_ONLY_LOAD": "1", "TORCH_FORCE_NO_WEIGHTS_ONLY_LOAD": "0"}
-"""Variables that let `torch.load` unpickle nothing but plain data, whoever calls it."""
+"""Environment variables that restrict every `torch.load` to plain data."""
 
 
 class Probabilities(nn.Module):
-    """Units side by side as one function of a robot's observation.
+    """Several units as one function from a robot's observation to probabilities.
 
-    Units that look at depth themselves hold the mount height that they were trained with; the robot's takes its place.
+    Units that use depth directly store the mount height of training; it is replaced by that of the observation.
 
     Args:
-        units: in evaluation mode.
-        look_once: leave out the mirror image of a view, about which they may otherwise be asked as well.
+        units: units of different categories; put into evaluation mode.
     """
 
-    def __init__(self, units: list[Unit], look_once: bool = False) -> None:
+    def __init__(self, units: list[Unit]) -> None:
         super().__init__()
         self.units = nn.ModuleList(units).eval()
-        for part in self.units.modules():
-            if isinstance(part, Unit) and look_once:
-                part.tta_hflip = False
         self.heights = [
             f"{name}.mount_height" for name, part in self.units.named_modules() if isinstance(part, DepthHits)
         ]
@@ -61,59 +57,58 @@ class Probabilities(nn.Module):
         seen: UInt8[Tensor, "b 1 v v"],
         mount_height: Float[Tensor, ""],
     ) -> Float[Tensor, "b c v v"]:
-        """Probabilities of V_object of all units' categories."""
-        every = []
+        """Predict the probabilities of V_object for the categories of all units."""
+        logits = []
         for index, unit in enumerate(self.units):
             prefix = f"{index}."
-            own = {
+            heights = {
                 name.removeprefix(prefix): mount_height for name in self.heights if name.startswith(prefix)
             }
-            every.append(functional_call(unit, own, (rgb, depth, occupied, seen)))
-        return torch.cat(every, dim=1).float().sigmoid()
+            logits.append(functional_call(unit, heights, (rgb, depth, occupied, seen)))
+        return torch.cat(logits, dim=1).float().sigmoid()
 
 
 class TrainedUnit(NamedTuple):
-    """What a checkpoint holds for a robot."""
+    """Unit of a checkpoint and its specification."""
 
     unit: Unit
     spec: UnitSpec
 
     @classmethod
     def of(cls, checkpoint: Checkpoint) -> "TrainedUnit":
-        """Those of a checkpoint.
+        """Load the unit of a checkpoint.
 
         Raises:
-            UserError: if it segments images instead of imagining maps, or is damaged.
+            UserError: if the checkpoint is of a segmentation network or damaged.
         """
         if checkpoint.predicts != "maps":
             raise UserError(
-                f"unit: got {checkpoint.path}, which gives {checkpoint.predicts}, expected a checkpoint that gives "
-                "maps, as +experiment=chair_unet trains one"
+                f"unit: got {checkpoint.path}, which predicts {checkpoint.predicts}, expected a checkpoint that "
+                "predicts maps, such as one of experiment=chair_unet"
             )
         model: Any = checkpoint.model()
         if not 0 <= model.chosen.min() <= model.chosen.max() < len(THRESHOLDS):
             raise UserError(
-                f"checkpoint {checkpoint.path}: got the thresholds number {model.chosen.tolist()}, expected 0 to "
-                f"{len(THRESHOLDS) - 1}; use another one"
+                f"checkpoint {checkpoint.path}: got the threshold indices {model.chosen.tolist()}, expected 0 to "
+                f"{len(THRESHOLDS) - 1}; use another checkpoint"
             )
-        return cls(model.unit, describe(checkpoint.config, model.chosen_thresholds.tolist()))
+        return cls(model.unit, describe(checkpoint.config, model.selected_thresholds.tolist()))
 
 
 class CheckpointModule:
-    """A checkpoint of imagination.train.
+    """Predictor of a checkpoint of imagination.train.
 
     Args:
-        path: of its file.
-        look_once: see `Probabilities`.
+        path: path of the checkpoint.
 
     Raises:
-        UserError: if it cannot be read; see `Checkpoint`.
+        UserError: if the checkpoint cannot be read; see `Checkpoint`.
     """
 
-    def __init__(self, path: Path, look_once: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         trained = TrainedUnit.of(Checkpoint.read(path))
         self.spec = trained.spec
-        self._run = Probabilities([trained.unit], look_once)
+        self._run = Probabilities([trained.unit])
 
     @torch.inference_mode()
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
@@ -121,10 +116,12 @@ class CheckpointModule:
 
 
 class ExportedModule:
-    """A .pt2 file of imagination.export; one from a stranger may hold code, which torch runs.
+    """Predictor of a .pt2 file of imagination.export.
+
+    Load only trusted files: the format can hold code, which torch executes.
 
     Raises:
-        UserError: if the file is broken or not ours.
+        UserError: if the file is damaged or was not written by imagination.export.
     """
 
     def __init__(self, path: Path) -> None:
@@ -133,12 +130,12 @@ class ExportedModule:
             with _safely():
                 program = torch.export.load(path, extra_files=extra)
                 self._run = program.module()
-        except Exception as error:  # torch raises whatever the broken part makes it raise
+        except Exception as error:  # the type depends on the damaged part
             raise UserError(
                 f"{path}: cannot be read as a program of torch.export ({error}); export it again"
             ) from error
         if not extra[ENTRY]:
-            raise UserError(f"{path}: was not written by imagination.export")
+            raise UserError(f"{path}: was not written by imagination.export, got no entry {ENTRY!r}")
         self.spec = UnitSpec.from_json(extra[ENTRY], str(path))
 
     @torch.inference_mode()
@@ -148,9 +145,9 @@ class ExportedModule:
 
 @contextmanager
 def _safely() -> Iterator[None]:
-    """Let `torch.load` unpickle plain data only, and leave out what is warned of and logged: errors say enough.
+    """Restrict `torch.load` to plain data and silence warnings and logs, since the raised error suffices.
 
-    `torch.export.load` would have it unpickle anything in its second try.
+    Without the restriction, `torch.export.load` would unpickle arbitrary objects in its second attempt.
     """
     log = logging.getLogger("torch.export")
     before, variables = log.disabled, {name: os.environ.get(name) for name in PLAIN_DATA}
@@ -168,7 +165,7 @@ def _safely() -> Iterator[None]:
 
 
 def describe(config: DictConfig, chosen_thresholds: Sequence[float]) -> UnitSpec:
-    """What a run's config says of its unit, with the thresholds that its validation chose."""
+    """Return the specification of a run's unit, with the thresholds selected by its validation."""
     from hydra.utils import instantiate
 
     camera: Camera = instantiate(config.camera)
@@ -176,13 +173,15 @@ def describe(config: DictConfig, chosen_thresholds: Sequence[float]) -> UnitSpec
     obstacles: Band = instantiate(config.obstacles)
     names = tuple(config.unit_categories)
     colours = tuple(tuple(config.categories[name].colour) for name in names)
-    thresholds = tuple(round(value, 6) for value in chosen_thresholds)  # float32 makes .95 a little more
+    thresholds = tuple(
+        round(value, 6) for value in chosen_thresholds
+    )  # removes the float32 error, e.g. of 0.95
     mapping = config.mapping.valid_threshold, config.mapping.valid_kernel
     return UnitSpec(names, colours, thresholds, camera, ego, Band(*map(float, obstacles)), *mapping)
 
 
 def inputs(observation: Observation) -> tuple[Tensor, ...]:
-    """What `Probabilities` takes."""
+    """Convert an observation to the inputs of `Probabilities`."""
     return tuple(torch.from_numpy(array) for array in arrays(observation).values())
 
 

@@ -1,4 +1,4 @@
-"""The approaches compared: evidence of a view, its fusion and postprocessing of the map."""
+"""Mapping approaches under comparison: evidence of a view, its fusion into a map, and postprocessing of the map."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from imagination.utils.errors import check_choice, check_range
 from imagination.views.collector import Views
 
 Predictions = dict[str, np.ndarray]
-"""What networks say about views, by the name of a need: see `NEEDS`."""
+"""Network predictions for views by the names in `NEEDS`."""
 
 NEEDS = {
     "maps": "a unit's checkpoint",
@@ -26,27 +26,31 @@ NEEDS = {
     "maps_of_shuffled_rgb": "a unit's checkpoint",
     "images": "a checkpoint of a segmentation network, or the folder of public weights (ade20k=FOLDER)",
 }
-"""What an approach may need of networks, and where it comes from: maps, float32 [n, c, v, v], are the probabilities of
-the evaluated categories; raw_maps are the same before units averaged and dilated them, maps_of_shuffled_rgb those of
-views each of which had the colours of another one; images, uint8 [n, h, w], are first-person segmentations, 0 for none,
-else the category's row + 1."""
+"""Network predictions that an approach may need, and the checkpoint that provides each.
+
+- maps, float32 [n, c, v, v]: probabilities of the evaluated categories.
+- raw_maps: probabilities before test-time averaging and dilation.
+- maps_of_shuffled_rgb: probabilities for views whose colour images are swapped among the views.
+- images, uint8 [n, h, w]: first-person segmentations, 0 for no category, else the category's row + 1.
+"""
 
 
 REFERENCE = "imagination"
-"""The approach that the others are compared with in pairs."""
+"""Name of the approach that the paired differences compare with the others."""
 
-NO_RIVALS = ("seg_gt", "oracle", "rgb_shuffled")
-"""Approaches that are told the truth about a view, and controls: never the best of a table, as in the paper."""
+CONTROLS = ("seg_gt", "oracle", "rgb_shuffled")
+"""Approaches that see the ground truth, and controls: never the best of a table, as in the paper."""
 
 
 class Setting(NamedTuple):
-    """What all approaches share.
+    """Camera, grid and categories common to all approaches.
 
     Attributes:
-        camera, ego: of the views.
+        camera: camera of the views.
+        ego: egocentric grid of the views.
         layers: rows of the category table that are evaluated.
-        categories: their names.
-        table_size: rows of the category table.
+        categories: names of the evaluated categories.
+        table_size: number of rows of the category table.
     """
 
     camera: Camera
@@ -57,27 +61,28 @@ class Setting(NamedTuple):
 
 
 @runtime_checkable
-class Evidence(Protocol):
-    """Turns views into statements. Hashable, so that approaches with equal evidence and rule share a map."""
+class EvidenceSource(Protocol):
+    """Converter of views into `ViewEvidence`; hashable, so that approaches with equal source and rule share a map."""
 
     @property
     def needs(self) -> str | None:
-        """What it needs of networks, one of `NEEDS`; None if nothing."""
+        """Network prediction that it needs, one of `NEEDS`; None if it needs no network."""
 
     def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> ViewEvidence:
-        """What `views` say, given the networks' predictions for each."""
+        """Return the evidence of `views`, given the network predictions for each view."""
 
 
 @dataclass(frozen=True)
 class ProjectedSegmentation:
-    """First-person segmentation, projected by depth: ordinary semantic mapping.
+    """First-person segmentation projected by depth: ordinary semantic mapping.
 
-    A view has something to say about the cells it saw and those that a return of the category fell into.
+    The observed cells of a view are those that it saw and those that contain a depth return of the category.
 
     Attributes:
-        low, high: band of heights above the floor whose returns count, metres.
-        max_range: depth beyond which returns are ignored, metres.
-        predicted: whether the segmentation is a network's; else it is the ground truth, a perfect network's.
+        low: lower limit of the height band of depth returns, metres above the floor.
+        high: upper limit of the height band of depth returns, metres above the floor.
+        max_range: maximum depth of returns, metres.
+        predicted: whether a network predicts the segmentation; otherwise it is the ground truth.
     """
 
     low: float
@@ -96,7 +101,7 @@ class ProjectedSegmentation:
     def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> ViewEvidence:
         images = predictions["images"] if self.predicted else views["categories"]
         size = setting.ego.cells
-        found = np.zeros((len(images), len(setting.layers), size, size), bool)
+        projected = np.zeros((len(images), len(setting.layers), size, size), bool)
         for index, (depth, image) in enumerate(zip(views["depth"], images, strict=True)):
             layers = project_categories(
                 depth.astype(np.float32),
@@ -107,16 +112,16 @@ class ProjectedSegmentation:
                 Band(self.low, self.high),
                 self.max_range,
             )
-            found[index] = layers[setting.layers]
-        return ViewEvidence(found.astype(np.float32), found | views["seen"][:, None])
+            projected[index] = layers[setting.layers]
+        return ViewEvidence(projected.astype(np.float32), projected | views["seen"][:, None])
 
 
 @dataclass(frozen=True)
 class SeenPrediction:
-    """imagination_seen: the prediction where depth saw the cell, prediction ∘ V_seen.
+    """Approach imagination_seen: the prediction in the cells that depth saw, prediction ∘ V_seen.
 
     Attributes:
-        needs: maps, or raw_maps for what is to be grown by itself: grown twice is worse than once.
+        needs: "maps", or "raw_maps" if the approach dilates the map itself, so that no map is dilated twice.
     """
 
     needs: str = "maps"
@@ -126,18 +131,18 @@ class SeenPrediction:
 
     def __call__(self, views: Views, predictions: Predictions, setting: Setting) -> ViewEvidence:
         probabilities = predictions[self.needs]
-        # masked by what is written, not by zeros: these would be mixed into the rim of V_seen when views are registered
+        # masked, not set to zero: registration would interpolate zeros into the boundary of V_seen
         return ViewEvidence(probabilities, np.broadcast_to(views["seen"][:, None], probabilities.shape))
 
 
 @dataclass(frozen=True)
 class ValidPrediction:
-    """imagination: V_valid = prediction ∘ M*_seen; see `valid_imagination`.
+    """Approach imagination: V_valid = prediction ∘ M*_seen; see `valid_imagination`.
 
     Attributes:
-        threshold: tau_valid.
-        kernel: epsilon, metres.
-        needs: maps, or maps_of_shuffled_rgb to learn whether the network looks at colour at all.
+        threshold: threshold tau_valid.
+        kernel: dilation kernel epsilon, metres.
+        needs: "maps", or "maps_of_shuffled_rgb" to test whether the network uses colour.
     """
 
     threshold: float
@@ -156,13 +161,13 @@ class ValidPrediction:
 
 @dataclass(frozen=True)
 class ImaginableArea:
-    """Where anything can be imagined, V_filter = dilation(V_object ∘ V_seen, delta), made from the truth.
+    """Imaginable area V_filter = dilation(V_object ∘ V_seen, delta), computed from the ground truth.
 
-    With postprocess `ground_truth` it becomes the oracle: a unit that answers each view with its label, V_label, and loses
-    nothing when views are registered.
+    With postprocess `ground_truth` it is the oracle: a unit that predicts the label V_label of each view, without any
+    loss when views are registered.
 
     Attributes:
-        kernel: delta, metres.
+        kernel: dilation kernel delta, metres.
     """
 
     kernel: float
@@ -179,17 +184,17 @@ class ImaginableArea:
 
 @dataclass(frozen=True)
 class Approach:
-    """One row of the tables.
+    """Mapping approach, one row of the tables.
 
     Attributes:
-        evidence: what it says about a view.
-        rule: how the statements of successive views are put together.
-        postprocess: applied to the map after its threshold: none, close (fill gaps), dilate, or ground_truth (remove
-            cells that are not in the ground truth: for upper bounds).
-        kernels: candidates for closing or growing, metres; the best on validation scenes is taken.
+        evidence: source of the evidence of a view.
+        rule: update rule that fuses the evidence of successive views.
+        postprocess: operation on the map after its threshold: none, close (fill gaps), dilate, or ground_truth (remove
+            cells outside the ground truth, for upper bounds).
+        kernels: candidate kernels of closing or dilation, metres; the best on validation scenes is selected.
     """
 
-    evidence: Evidence
+    evidence: EvidenceSource
     rule: UpdateRule
     postprocess: str = "none"
     kernels: Sequence[float] = (0.0,)
@@ -202,22 +207,22 @@ class Approach:
 
     @property
     def map_key(self) -> tuple[Any, ...]:
-        """Approaches with equal keys have the same map before finishing."""
+        """Key of the map before postprocessing; approaches with equal keys share one map."""
         return self.evidence, self.rule
 
     def apply_postprocess(
         self,
         score: Float32[np.ndarray, "h w"],
-        truth: Bool[np.ndarray, "h w"],
+        gt: Bool[np.ndarray, "h w"],
         kernel: float,
         resolution: float,
     ) -> Float32[np.ndarray, "h w"]:
-        """The score whose thresholding equals thresholding first and finishing then.
+        """Postprocess the score map; its threshold then equals postprocessing of the thresholded map.
 
-        That order does not matter, since a dilation or erosion with a flat kernel takes the largest or smallest score.
+        The order does not matter, since dilation and erosion with a flat kernel take the largest and smallest score.
         """
         if self.postprocess == "ground_truth":
-            return np.where(truth, score, np.float32(0))
+            return np.where(gt, score, np.float32(0))
         cells = kernel_cells(kernel, resolution) if kernel > 0 else 1
         if self.postprocess == "none" or cells == 1:
             return score

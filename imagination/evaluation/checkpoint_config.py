@@ -1,6 +1,7 @@
-"""Evaluate checkpoints: `python -m imagination.evaluate ckpt=outputs/chair_unet/latest/checkpoints/best.ckpt`.
+"""Config of the evaluation of checkpoints.
 
-The config is that of the (first) checkpoint's run, changed by the command line; nothing is trained.
+Example: `python -m imagination.evaluate ckpt=outputs/chair_unet/latest/checkpoints/best.ckpt`. The config is that of
+the first checkpoint's run with the overrides of the command line.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.compose import compose
-from imagination.config.overrides import key, top
+from imagination.config.overrides import override_group, override_key
 from imagination.config.validation import validate
 from imagination.utils.errors import UserError
 
@@ -25,100 +26,103 @@ log = logging.getLogger(__name__)
 
 
 def check_scenes(checkpoints: Sequence[Checkpoint], source: SceneSource) -> None:
-    """Check that no scene that is chosen or measured on was trained in; tell if networks were trained in different ones.
+    """Check that no validation or test scene is a training scene; warn if networks were trained in different scenes.
 
     Raises:
-        UserError: with a scene that was.
+        UserError: if a validation or test scene is a training scene of a checkpoint.
     """
     for split in ("val", "test"):
-        here = {source.fingerprint(scene): scene for scene in source.scenes(split)}
+        evaluated = {source.fingerprint(scene): scene for scene in source.scenes(split)}
         for checkpoint in checkpoints:
-            if both := [(name, here[found]) for name, found in checkpoint.scenes.items() if found in here]:
-                trained, found = both[0]
-                raise UserError(
-                    f"ckpt: {checkpoint.path} was trained in {trained}, which is {found} of the split {split!r} now; "
-                    "train it again with these scenes, or evaluate with those it was trained with"
-                )
-    told = [checkpoint for checkpoint in checkpoints if checkpoint.scenes]
-    for other in told[1:]:
-        if set(other.scenes.values()) != set(told[0].scenes.values()):
+            for trained, fingerprint in checkpoint.scenes.items():
+                if fingerprint in evaluated:
+                    raise UserError(
+                        f"ckpt: {checkpoint.path} was trained in {trained}, which is {evaluated[fingerprint]} of the "
+                        f"split {split!r}; train again with these scenes, or evaluate with the scenes of the training"
+                    )
+    recorded = [checkpoint for checkpoint in checkpoints if checkpoint.scenes]
+    for other in recorded[1:]:
+        if set(other.scenes.values()) != set(recorded[0].scenes.values()):
             log.warning(
-                "ckpt: %s and %s were trained in different scenes, or by different versions of what makes scenes",
-                told[0].path,
+                "ckpt: %s and %s were trained in different scenes, or with different versions of the scene source",
+                recorded[0].path,
                 other.path,
             )
 
 
 def evaluation_config(checkpoints: Sequence[Checkpoint], overrides: list[str]) -> DictConfig:
-    """The config of the evaluation: the first checkpoint's, with the categories of all, then the command line's.
+    """Compose the config of the evaluation from the first checkpoint, the categories of all and the overrides.
 
     Raises:
-        UserError: if two checkpoints give the same category, or one is of other categories, another resolution or
-            another camera than the others or the command line ask for, or the command line changes networks.
+        UserError: if two checkpoints predict the same category, the categories, resolution or camera of a checkpoint
+            differ from those of the others or of the overrides, or an override changes a network.
     """
     from imagination.runs.checkpoint import KEY
 
-    by_kind = {kind: [one for one in checkpoints if one.predicts == kind] for kind in ("maps", "images")}
-    for of_kind in by_kind.values():
-        _refuse_twice(of_kind)
+    by_kind = {kind: [each for each in checkpoints if each.predicts == kind] for kind in ("maps", "images")}
+    for group in by_kind.values():
+        _refuse_duplicates(group)
     for other in checkpoints[1:]:
-        other.require(checkpoints[0].config, f"checkpoint {checkpoints[0].path}")
-    every = [name for one in by_kind["maps"] or by_kind["images"] for name in one.categories]
-    given = {key(text) for text in overrides}
-    inherited = [text for text in checkpoints[0].state[KEY]["choices"] if key(text) not in given]
+        other.check_compatible(checkpoints[0].config, f"checkpoint {checkpoints[0].path}")
+    categories = [name for each in by_kind["maps"] or by_kind["images"] for name in each.categories]
+    overridden = {override_key(text) for text in overrides}
+    inherited = [
+        text for text in checkpoints[0].state[KEY]["choices"] if override_key(text) not in overridden
+    ]
     config = compose(
-        "evaluate", [*inherited, f"unit_categories={json.dumps(every)}", "paths.run=.", *overrides]
+        "evaluate", [*inherited, f"unit_categories={json.dumps(categories)}", "paths.run=.", *overrides]
     )
-    config.sweep_dir = None  # Hydra has it; with its date it is no part of what is evaluated
+    config.sweep_dir = None  # Hydra has it; its date is no setting of the evaluation
     _refuse_other_networks(config, overrides)
     validate(config)
-    for of_kind in filter(None, by_kind.values()):
-        _refuse_missing(of_kind, config)
+    for group in filter(None, by_kind.values()):
+        _refuse_missing(group, config)
     for checkpoint in checkpoints:
-        checkpoint.require(config)
+        checkpoint.check_compatible(config)
     if by_kind["images"] and config.ade20k:
         raise UserError(
-            f"ade20k: got {config.ade20k} beside checkpoint {by_kind['images'][0].path}, expected one segmentation "
+            f"ade20k: got {config.ade20k} and checkpoint {by_kind['images'][0].path}, expected one segmentation "
             "network; leave one of them out"
         )
     return config
 
 
-def _refuse_twice(checkpoints: Sequence[Checkpoint]) -> None:
-    """Refuse checkpoints of one kind that give the same category."""
-    givers: dict[str, Checkpoint] = {}
+def _refuse_duplicates(checkpoints: Sequence[Checkpoint]) -> None:
+    """Refuse checkpoints of one kind that predict the same category."""
+    by_category: dict[str, Checkpoint] = {}
     for checkpoint in checkpoints:
         for name in checkpoint.categories:
-            other = givers.setdefault(name, checkpoint)
+            other = by_category.setdefault(name, checkpoint)
             if other is not checkpoint:
                 raise UserError(
-                    f"ckpt: got {other.path} and {checkpoint.path}, which both give {name}, expected each category "
+                    f"ckpt: got {other.path} and {checkpoint.path}, which both predict {name}, expected each category "
                     "once; leave one of them out"
                 )
 
 
 def _refuse_missing(checkpoints: Sequence[Checkpoint], config: DictConfig) -> None:
-    """Refuse to evaluate a category that no checkpoint of a kind gives."""
+    """Refuse to evaluate a category that no checkpoint of a kind predicts."""
     missing = [
-        name for name in config.unit_categories if not any(name in one.categories for one in checkpoints)
+        name for name in config.unit_categories if not any(name in each.categories for each in checkpoints)
     ]
     if missing:
-        held = "; ".join(
-            f"checkpoint {one.path}: is of {', '.join(one.categories)} at {one.config.ego.resolution} m a cell"
-            for one in checkpoints
+        available = "; ".join(
+            f"checkpoint {each.path}: is of {', '.join(each.categories)} at {each.config.ego.resolution} m a cell"
+            for each in checkpoints
         )
         raise UserError(
-            f"{held}, but the evaluation asks for {', '.join(config.unit_categories)}; add a checkpoint of "
+            f"{available}, but the evaluation asks for {', '.join(config.unit_categories)}; add a checkpoint of "
             f"{', '.join(missing)}, or leave out what overrides unit_categories"
         )
 
 
 def _refuse_other_networks(config: DictConfig, overrides: Sequence[str]) -> None:
-    """Refuse overrides of what networks are: they stay as they were trained, so nothing would follow from them."""
-    described = OmegaConf.to_yaml(config.model)  # with its references to the scale
+    """Refuse overrides of the networks, which are evaluated as they were trained."""
+    definition = OmegaConf.to_yaml(config.model)  # with its references to the scale
     for text in overrides:
-        if top(text) == "model" or (top(text) == "scale" and f"${{{key(text)}}}" in described):
+        key, group = override_key(text), override_group(text)
+        if group == "model" or (group == "scale" and f"${{{key}}}" in definition):
             raise UserError(
-                f"{key(text)}: got {text}, but networks are evaluated as they were trained; leave it "
-                "out, or train one with it"
+                f"{key}: got {text}, but networks are evaluated as they were trained; leave it out, or train a network "
+                "with it"
             )

@@ -1,4 +1,4 @@
-"""Global maps of one run: the statements of its views, registered in order."""
+"""Global maps of one trial: the evidence of its views, registered in order."""
 
 from collections.abc import Mapping
 from math import hypot
@@ -17,12 +17,12 @@ from imagination.views.collector import Views
 
 
 class Area(NamedTuple):
-    """The part of a scene's ground truth that a run can write to.
+    """Part of a scene's ground truth that the views of a trial can reach.
 
     Attributes:
-        grid: of the part.
-        truth: M_gt of the evaluated categories.
-        occupied: M_occu.
+        grid: grid of the part.
+        truth: ground-truth map M_gt of the evaluated categories.
+        occupied: occupancy map M_occu.
     """
 
     grid: Grid
@@ -31,31 +31,31 @@ class Area(NamedTuple):
 
 
 def area_of(
-    truth: GroundTruth, layers: list[int], poses: Float64[np.ndarray, "n 3"], ego: EgoGrid, margin: float
+    gt: GroundTruth, layers: list[int], poses: Float64[np.ndarray, "n 3"], ego: EgoGrid, margin: float
 ) -> Area:
-    """Crop a scene's maps to all of its truth and everything its views reach, which changes no count of pixels.
+    """Crop a scene's maps to its ground truth and everything its views reach, which changes no count of pixels.
 
     Args:
-        truth: the scene's maps.
+        gt: ground truth of the scene.
         layers: rows of the category table that are evaluated.
-        poses: of the views.
-        ego: grid of the views.
-        margin: how far cells are grown afterwards, metres.
+        poses: poses of the views.
+        ego: egocentric grid of the views.
+        margin: dilation of cells in postprocessing, metres.
     """
-    grid = truth.grid
+    grid = gt.grid
     reach = hypot(ego.cells, ego.cells / 2) * ego.resolution + margin
     corners = np.concatenate([poses[:, :2] - reach, poses[:, :2] + reach])
-    filled = np.argwhere(truth.occupied | truth.truth[layers].any(axis=0))
+    filled = np.argwhere(gt.occupied | gt.truth[layers].any(axis=0))
     cells = np.concatenate([grid.to_cells(corners), filled])
     if not len(cells):
-        return Area(grid, truth.truth[layers], truth.occupied)
+        return Area(grid, gt.truth[layers], gt.occupied)
     top, left = np.clip(cells.min(axis=0), 0, np.array(grid.shape) - 1).tolist()
     bottom, right = np.clip(cells.max(axis=0) + 1, 1, grid.shape).tolist()
     size = grid.resolution
     origin = (grid.origin[0] + left * size, grid.origin[1] + (grid.rows - bottom) * size)
     window = np.s_[..., top:bottom, left:right]
     part = Grid(size, bottom - top, right - left, origin)
-    return Area(part, truth.truth[layers][window], truth.occupied[window])
+    return Area(part, gt.truth[layers][window], gt.occupied[window])
 
 
 def score_maps(
@@ -66,32 +66,32 @@ def score_maps(
     grid: Grid,
     order: Int64[np.ndarray, " n"],
 ) -> dict[str, Float32[np.ndarray, "c h w"]]:
-    """The global map of each approach, before its threshold; 0 where nothing was said.
+    """Compute the global score map of each approach, before its threshold; cells without evidence are 0.
 
     Args:
-        views: of one run.
-        predictions: the networks' answers to each.
-        approaches: those with the same evidence and rule share one map.
+        views: views of one trial.
+        predictions: network predictions for each view.
+        approaches: approaches by name; those with the same evidence source and rule share one map.
         setting: camera, grid and categories.
-        grid: of the maps.
-        order: in which the views are registered.
+        grid: grid of the maps.
+        order: order in which the views are registered.
     """
     by_key: dict[tuple[Any, ...], Float32[np.ndarray, "c h w"]] = {}
     for approach in approaches.values():
         if approach.map_key in by_key:
             continue
-        statement = approach.evidence(views, predictions, setting)
+        evidence = approach.evidence(views, predictions, setting)
         mapper = Mapper(grid, setting.ego, setting.categories, approach.rule)
         for index in order.tolist():
             pose = Pose(*views["pose"][index].tolist())
-            imagined = None if statement.imagined is None else statement.imagined[index]
-            mapper.register(statement.values[index], statement.mask[index], pose, imagined)
+            imagined = None if evidence.imagined is None else evidence.imagined[index]
+            mapper.register(evidence.values[index], evidence.mask[index], pose, imagined)
         by_key[approach.map_key] = mapper.probabilities
     return {name: by_key[approach.map_key] for name, approach in approaches.items()}
 
 
 def seen_map(views: Views, ego: EgoGrid, grid: Grid) -> Bool[np.ndarray, "h w"]:
-    """The global cells that a view saw: V_seen of all views, registered."""
+    """Return the global cells that at least one view saw: V_seen of all views, registered."""
     mapper = Mapper(grid, ego, ["seen"], Max())
     everywhere = np.ones((1, ego.cells, ego.cells), np.float32)
     for seen, pose in zip(views["seen"], views["pose"], strict=True):

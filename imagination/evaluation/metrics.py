@@ -1,4 +1,4 @@
-"""How well a global map agrees with the truth: counts, intersection over union, and bootstrap intervals over scenes."""
+"""Metrics of global maps: pixel counts, intersection over union (IoU), and bootstrap intervals over scenes."""
 
 from typing import NamedTuple
 
@@ -6,24 +6,24 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 CONFIDENCE = 0.95
-"""Of every interval in the tables."""
+"""Confidence level of every interval in the tables."""
 
 
 class Interval(NamedTuple):
-    """A bootstrap interval."""
+    """Bounds of a bootstrap confidence interval."""
 
     low: float
     high: float
 
 
-def count(predicted: Bool[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"]) -> Int64[np.ndarray, "3"]:
-    """Correct, false and truth pixels of one map; those missed are truth minus correct."""
-    correct = int(np.count_nonzero(predicted & truth))
-    return np.array([correct, np.count_nonzero(predicted) - correct, np.count_nonzero(truth)], np.int64)
+def count(predicted: Bool[np.ndarray, "h w"], gt: Bool[np.ndarray, "h w"]) -> Int64[np.ndarray, "3"]:
+    """Count correct, false-positive and ground-truth pixels of one map; missed pixels are the third minus the first."""
+    correct = int(np.count_nonzero(predicted & gt))
+    return np.array([correct, np.count_nonzero(predicted) - correct, np.count_nonzero(gt)], np.int64)
 
 
 def iou(counts: Int64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n"]:
-    """Intersection over union, correct / (truth + false), of each triple of counts; 0 where both maps are empty."""
+    """Return IoU = correct / (ground truth + false positives) of each triple of counts; 0 where both maps are empty."""
     union = counts[..., 2] + counts[..., 1]
     result: Float64[np.ndarray, "*n"] = np.divide(
         counts[..., 0], union, out=np.zeros(union.shape), where=union > 0
@@ -32,19 +32,19 @@ def iou(counts: Int64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n"]:
 
 
 def pooled_iou(counts: Int64[np.ndarray, "scenes sets 3"]) -> float:
-    """IoU of all runs taken together: large scenes count for more."""
+    """Return the IoU of the summed counts of all trials, in which large scenes have more weight."""
     return float(iou(counts.sum(axis=(0, 1))))
 
 
 def mean_iou(counts: Int64[np.ndarray, "scenes sets 3"]) -> float:
-    """Mean of the IoU of each run: every run counts the same."""
+    """Return the mean IoU over trials, in which every trial has the same weight."""
     return float(iou(counts).mean())
 
 
 def resample(scenes: int, resamples: int, seed: int) -> Int64[np.ndarray, "resamples scenes"]:
-    """How often each scene is drawn in each resample of as many scenes, with replacement.
+    """Draw bootstrap resamples of scenes with replacement; return how often each resample contains each scene.
 
-    The same arguments give the same draws, so two approaches resampled with them are compared in pairs.
+    The same arguments give the same draws, so that differences between two approaches are paired.
     """
     rng = np.random.default_rng(seed)
     return rng.multinomial(scenes, np.full(scenes, 1 / scenes), size=resamples)
@@ -53,12 +53,12 @@ def resample(scenes: int, resamples: int, seed: int) -> Int64[np.ndarray, "resam
 def bootstrap_iou(
     counts: Int64[np.ndarray, "scenes sets 3"], draws: Int64[np.ndarray, "resamples scenes"]
 ) -> Float64[np.ndarray, " resamples"]:
-    """Pooled IoU of each resample; the runs of a scene stay together, because they share its furniture."""
+    """Return the pooled IoU of each resample; the trials of a scene stay together, as they share its furniture."""
     return iou(draws @ counts.sum(axis=1))
 
 
 def interval(samples: Float64[np.ndarray, " resamples"]) -> Interval:
-    """The percentile interval of bootstrap samples at `CONFIDENCE`."""
+    """Return the percentile interval of bootstrap samples at the level `CONFIDENCE`."""
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(samples, [tail, 1 - tail])
     return Interval(float(low), float(high))

@@ -1,4 +1,4 @@
-"""What networks say about views: the bridge from NumPy's evaluation to torch's networks."""
+"""Predictions of trained PyTorch networks for views given as NumPy arrays."""
 
 import hashlib
 from collections.abc import Collection, Sequence
@@ -15,49 +15,50 @@ from imagination.evaluation.approaches import Predictions
 from imagination.models.unit import Prediction
 from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError
-from imagination.utils.precision import answering, resolved
+from imagination.utils.precision import autocast, resolved
 from imagination.views.collector import Views
 
 PACKAGES = ("models", "mapping")
-"""Whose code decides, beside that of the cache's makers, what an evaluation finds."""
+"""Packages whose code is hashed into the keys of cached evaluation results."""
 
 
-ANSWERS = ("tta_hflip", "postprocess_dilation")
-"""Attributes of networks that say how they answer; no weights tell."""
+PREDICTION_SETTINGS = ("tta_hflip", "postprocess_dilation")
+"""Attributes of networks that change their predictions but are no weights."""
 
 
 @runtime_checkable
 class Model(Protocol):
-    """A trained unit, as LitUnit is one."""
+    """Interface of a trained imagination unit such as `LitUnit`."""
 
     categories: list[str]
 
     def predict(self, batch: Batch) -> Prediction:
-        """Probabilities of the unit's categories."""
+        """Predict the probabilities of the unit's categories."""
 
 
 @runtime_checkable
 class Segmenter(Protocol):
-    """A network for first-person segmentation, as LitSegmentation is one."""
+    """Interface of a first-person segmentation network such as `LitSegmentation`."""
 
     categories: list[str]
 
     def segment(self, rgb: Tensor, rows: int, columns: int) -> Tensor:
-        """The class of each pixel, (B, `rows`, `columns`): 0 for none, else the category's place + 1."""
+        """Predict the class of each pixel, (B, `rows`, `columns`): 0 for no category, else the category's index + 1."""
 
 
 class Predictor:
-    """The networks of an evaluation: units side by side, the paper's imagination module, and a segmentation network.
+    """Networks of an evaluation: the units of the paper's imagination module and a segmentation network.
 
     Args:
-        models: units and at most one segmentation network; each category comes from the unit that has it.
-        categories: that are evaluated.
-        table: names of the category table's rows, which images of categories are indices into.
-        batch_size: views predicted at once.
-        precision: what they answer in, one of `PRECISIONS`.
+        models: units and at most one segmentation network; one unit predicts each category.
+        categories: names of the evaluated categories.
+        table: names of the rows of the category table, into which images of categories are indices.
+        batch_size: views per batch.
+        precision: floating-point precision of the predictions, one of `PRECISIONS`.
 
     Raises:
-        UserError: if a category that is evaluated comes from none or several of the networks of a kind.
+        UserError: if not exactly one unit predicts an evaluated category, the segmentation network lacks one, or there
+            are several segmentation networks.
     """
 
     def __init__(
@@ -73,18 +74,18 @@ class Predictor:
         self.segmenters = [model for model in models if isinstance(model, Segmenter)]
         self.batch_size = batch_size
         self.precision = resolved(precision)
-        held = [name for unit in self.units for name in unit.categories]
+        predicted = [name for unit in self.units for name in unit.categories]
         for name in categories:
-            if self.units and held.count(name) != 1:
+            if self.units and predicted.count(name) != 1:
                 raise UserError(
-                    f"category {name!r}: got {held.count(name)} units that imagine it, expected one"
+                    f"category {name!r}: got {predicted.count(name)} units that predict it, expected one"
                 )
             if any(name not in segmenter.categories for segmenter in self.segmenters):
-                raise UserError(f"category {name!r}: the segmentation network does not know it")
+                raise UserError(f"category {name!r}: is not among those of the segmentation network")
         if len(self.segmenters) > 1:
             raise UserError(f"got {len(self.segmenters)} segmentation networks, expected one at most")
-        self._order = [held.index(name) for name in categories] if self.units else []
-        # from a segmentation network's classes to indices of the table
+        self._order = [predicted.index(name) for name in categories] if self.units else []
+        # index in the category table by class of the segmentation network
         self._rows = [
             np.array(
                 [0, *(table.index(name) + 1 if name in table else 0 for name in segmenter.categories)],
@@ -95,17 +96,17 @@ class Predictor:
 
     @property
     def gives(self) -> frozenset[str]:
-        """Which of `NEEDS` it fulfils."""
+        """Predictions that the networks provide, a subset of `NEEDS`."""
         maps = {"maps", "raw_maps", "maps_of_shuffled_rgb"} if self.units else set()
         return frozenset(maps | ({"images"} if self.segmenters else set()))
 
     @cached_property
     def fingerprint(self) -> str:
-        """Changes with weights, categories, how networks answer, precision and the code that makes maps of it."""
+        """Hash of the weights, categories, prediction settings, precision and code."""
         digest = hashlib.sha256((code_version(PACKAGES) + self.precision).encode())
         for model in self.models:
             assert isinstance(model, nn.Module)
-            settings = [vars(part).get(name) for part in model.modules() for name in ANSWERS]
+            settings = [vars(part).get(name) for part in model.modules() for name in PREDICTION_SETTINGS]
             digest.update(repr((type(model).__qualname__, model.categories, settings)).encode())
             for name, tensor in model.state_dict().items():
                 digest.update(name.encode())
@@ -116,34 +117,34 @@ class Predictor:
 
     @torch.inference_mode()
     def __call__(self, views: Views, wanted: Collection[str]) -> Predictions:
-        """Those of `NEEDS` that are wanted, for each view."""
-        answers: Predictions = {}
-        with answering(self.precision, self._device):
+        """Predict those of `NEEDS` that are in `wanted` for each view."""
+        predictions: Predictions = {}
+        with autocast(self.precision, self._device):
             if {"maps", "raw_maps"} & set(wanted):
-                both = self._maps(views)
-                answers |= {
+                pair = self._maps(views)
+                predictions |= {
                     name: maps
-                    for name, maps in zip(("maps", "raw_maps"), both, strict=True)
+                    for name, maps in zip(("maps", "raw_maps"), pair, strict=True)
                     if name in wanted
                 }
             if "maps_of_shuffled_rgb" in wanted:
-                # each view gets the colours of the one half a round further on: of its own only if it is the only one
+                # each view gets the colours of the view half a cycle later: its own only if it is the only view
                 shift = (len(views["rgb"]) + 1) // 2
                 shuffled = {**views, "rgb": np.roll(views["rgb"], shift, axis=0)}
-                answers["maps_of_shuffled_rgb"], _ = self._maps(shuffled)
+                predictions["maps_of_shuffled_rgb"], _ = self._maps(shuffled)
             if "images" in wanted:
-                answers["images"] = self._images(views)
-        return answers
+                predictions["images"] = self._images(views)
+        return predictions
 
     @property
     def _device(self) -> str:
-        """Kind of the device that the networks are on, e.g. "cuda"."""
+        """Device type of the networks, e.g. "cuda"."""
         modules = (model for model in self.models if isinstance(model, nn.Module))
         weights = (weight for module in modules for weight in module.parameters())
         return next((weight.device.type for weight in weights), "cpu")
 
     def _maps(self, views: Views) -> tuple[Float32[np.ndarray, "n c v v"], Float32[np.ndarray, "n c v v"]]:
-        """What all units answer, and the same before it was averaged and dilated."""
+        """Predict the maps of all units: postprocessed, and raw (before averaging and dilation)."""
         chunks = []
         for start in range(0, len(views["pose"]), self.batch_size):
             part = {
@@ -151,12 +152,13 @@ class Predictor:
                 for name in ("rgb", "depth", "occupied", "seen")
             }
             batch = observations(part)
-            each = zip(*(unit.predict(batch) for unit in self.units), strict=True)
-            chunks.append([torch.cat(maps, dim=1).cpu()[:, self._order].numpy() for maps in each])
+            outputs = zip(*(unit.predict(batch) for unit in self.units), strict=True)
+            chunks.append([torch.cat(maps, dim=1).cpu()[:, self._order].numpy() for maps in outputs])
         maps, raw = (np.concatenate(kind) for kind in zip(*chunks, strict=True))
         return maps, raw
 
     def _images(self, views: Views) -> UInt8[np.ndarray, "n h w"]:
+        """Predict first-person segmentations as indices into the category table."""
         (segmenter,), (rows,) = self.segmenters, self._rows
         chunks = []
         for start in range(0, len(views["pose"]), self.batch_size):

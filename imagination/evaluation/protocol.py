@@ -1,7 +1,7 @@
-"""The mapping task of the paper: global maps from sparse viewpoints, compared with the truth of the whole scene.
+"""Mapping task of the paper: global maps from sparse viewpoints, compared with the ground truth of the whole scene.
 
-Thresholds and kernels are chosen on validation scenes, then every scene, cell width and viewpoint set of the test split
-is measured. Nothing here knows what kind of network predicts.
+Thresholds and kernels are selected on validation scenes; then every scene, cell width and viewpoint set of the test
+split is evaluated. The protocol does not depend on the kind of network.
 """
 
 from collections import deque
@@ -27,36 +27,36 @@ from imagination.views.collector import Views
 from imagination.views.scene_workers import ScenePool
 
 KIND = "evaluation_results"
-"""Name of finished runs in the cache."""
+"""Kind of the cache entries that hold the results of a trial."""
 
 COUNTED = "counts", "counts_shuffled", "counts_seen", "snap_distance", "first_person"
-"""What is kept of every run's arrays until all are there; its maps are not."""
+"""Arrays of a trial that stay in memory until all trials are evaluated; maps do not."""
 
 
 @runtime_checkable
 class Predict(Protocol):
-    """The networks, as `Predictor` holds them."""
+    """Interface of the networks under test, such as `Predictor`."""
 
     @property
     def gives(self) -> frozenset[str]:
-        """Which of `NEEDS` it fulfils."""
+        """Predictions that the networks provide, a subset of `NEEDS`."""
 
     @property
     def fingerprint(self) -> str:
-        """Changes with everything that its answers depend on, beside the views."""
+        """Hash of everything except the views that the predictions depend on."""
 
     def __call__(self, views: Views, wanted: Collection[str]) -> Predictions:
-        """Those of `NEEDS` that are wanted, for each view."""
+        """Predict those of `NEEDS` that are in `wanted` for each view."""
 
 
 class ModelUnderTest(NamedTuple):
-    """What is evaluated, and on which scenes' worker processes.
+    """Networks under test and the worker processes of the scenes.
 
     Attributes:
-        pool: renders views and measures maps; holds the observer.
+        pool: worker processes that render views and evaluate maps; holds the observer.
         setting: camera, grid and categories.
-        predict: the networks.
-        keep: put what each run gave into the cache, so that an evaluation which stops goes on where it was.
+        predict: networks under test.
+        keep: whether to cache the result of each trial, so that an interrupted evaluation continues.
     """
 
     pool: ScenePool
@@ -67,19 +67,19 @@ class ModelUnderTest(NamedTuple):
 
 @dataclass(frozen=True)
 class MappingProtocol:
-    """How mapping is evaluated.
+    """Protocol of the mapping evaluation.
 
     Attributes:
-        approaches: by name, in the order of the table.
+        approaches: approaches by name, in the order of the table.
         cell_widths: spacings of the viewpoints, metres.
-        viewpoint_sets: random sets for each scene and cell width.
+        viewpoint_sets: random viewpoint sets for each scene and cell width.
         orientations: random headings at each viewpoint.
-        seed: of viewpoints, headings, shuffling and bootstrap.
-        resamples: of scenes, for intervals.
-        only: names of the approaches to evaluate; None for all that the networks at hand suffice for.
-        known_scenes: how many scenes with furniture as in training, none of which is trained on, are measured as well.
-        precision: what networks answer in, one of `PRECISIONS`.
-        threshold: of every global map, a whole number of hundredths; None for each approach's best on validation scenes.
+        seed: seed of viewpoints, headings, shuffling and bootstrap.
+        resamples: bootstrap resamples of scenes for the intervals.
+        only: names of the approaches to evaluate; None for all whose networks are available.
+        known_scenes: number of additional scenes with training furniture that were not trained on.
+        precision: floating-point precision of the predictions, one of `PRECISIONS`.
+        threshold: threshold of every global map, in whole hundredths; None to select it on validation scenes.
     """
 
     approaches: Mapping[str, Approach]
@@ -99,8 +99,8 @@ class MappingProtocol:
             check_range("evaluation.cell_widths", width, 0.25, 50.0, "m")
         if len(set(map(float, self.cell_widths))) < len(self.cell_widths):
             raise UserError(
-                f"evaluation.cell_widths: got {list(self.cell_widths)}, expected each width once; leave out those that "
-                "are given again"
+                f"evaluation.cell_widths: got {list(self.cell_widths)}, expected each width once; remove the "
+                "duplicates"
             )
         check_range("evaluation.viewpoint_sets", self.viewpoint_sets, 1, 10_000)
         check_range("evaluation.orientations", self.orientations, 1, 1000)
@@ -114,193 +114,198 @@ class MappingProtocol:
         check_range("evaluation.approaches", len(self.approaches), 1, 1000, "approaches")
 
     def available(self, gives: Collection[str]) -> "MappingProtocol":
-        """The same with those of the approaches that the networks at hand suffice for.
+        """Return the protocol with only the approaches whose network predictions are in `gives`.
 
         Raises:
-            UserError: if an approach that `only` names needs another network, or none is left.
+            UserError: if an approach that `only` names lacks its network, or no approach is left.
         """
         names = list(self.approaches) if self.only is None else list(self.only)
         for name in names:
             check_choice("evaluation.only", name, self.approaches)
         needs = {name: self.approaches[name].evidence.needs for name in names}
-        lacking = [name for name, need in needs.items() if need is not None and need not in gives]
-        if lacking and (self.only is not None or len(lacking) == len(names)):
+        missing = [name for name, need in needs.items() if need is not None and need not in gives]
+        if missing and (self.only is not None or len(missing) == len(names)):
             raise UserError(
-                f"evaluation.only: got {lacking[0]}, which needs {NEEDS[needs[lacking[0]] or '']}; add it "
+                f"evaluation.only: got {missing[0]}, which needs {NEEDS[needs[missing[0]] or '']}; add it "
                 "(ckpt=[one,other] takes several), or leave the approach out"
             )
         return replace(
-            self, approaches={name: self.approaches[name] for name in names if name not in lacking}
+            self, approaches={name: self.approaches[name] for name in names if name not in missing}
         )
 
     def select_thresholds(
-        self, subject: ModelUnderTest, scenes: Sequence[str], silent: bool = False
+        self, model: ModelUnderTest, scenes: Sequence[str], silent: bool = False
     ) -> SelectedThresholds:
-        """Choose threshold and kernel of each approach by pooled IoU over all runs of `scenes` together.
+        """Select threshold and kernel of each approach by IoU pooled over all trials of `scenes`.
 
         Raises:
             UserError: if a category is in none of the scenes.
         """
-        present = scenes_with(subject, scenes)
+        present = scenes_with(model, scenes)
         totals: dict[tuple[str, str], Int64[np.ndarray, "kernels t 3"]] = {
             (name, category): np.zeros((len(approach.kernels), len(THRESHOLDS), 3), np.int64)
             for category in present
             for name, approach in self.approaches.items()
         }
-        for trial, tallies in self._each(
-            subject, scenes, count_trial, (), "global maps of validation scenes", silent
+        for trial, counts in self._each(
+            model, scenes, count_trial, (), "global maps of validation scenes", silent
         ):
             for (name, category), total in totals.items():
                 if trial.scene in present[category]:
-                    total += tallies[name][subject.setting.categories.index(category)]
+                    total += counts[name][model.setting.categories.index(category)]
         allowed = np.s_[:] if self.threshold is None else np.isclose(THRESHOLDS, self.threshold)
         return {
             (name, category): select_threshold(
-                tallies[:, allowed], self.approaches[name].kernels, THRESHOLDS[allowed]
+                counts[:, allowed], self.approaches[name].kernels, THRESHOLDS[allowed]
             )
-            for (name, category), tallies in totals.items()
+            for (name, category), counts in totals.items()
         }
 
     def evaluate(
         self,
-        subject: ModelUnderTest,
+        model: ModelUnderTest,
         scenes: Sequence[str],
-        choices: SelectedThresholds,
+        selected: SelectedThresholds,
         silent: bool = False,
         save: Callable[[SavedMaps], None] = lambda maps: None,
         title: str = "global maps of test scenes",
     ) -> Report:
-        """Measure every approach on all runs of `scenes`.
+        """Evaluate every approach on all trials of `scenes`.
 
         Args:
-            subject: what is measured.
-            scenes: names of scenes.
-            choices: threshold and kernel of each approach and category.
-            silent: show no progress.
-            save: called with the maps of each run.
-            title: of the progress shown.
+            model: networks and worker processes.
+            scenes: names of the scenes.
+            selected: threshold and kernel of each approach and category.
+            silent: whether to show no progress bar.
+            save: callback that receives the maps of each trial.
+            title: title of the progress bar.
 
         Raises:
             UserError: if a category is in none of the scenes.
         """
-        present = scenes_with(subject, scenes)
-        plan, categories = self._plan(subject), subject.setting.categories
-        measured: list[tuple[Trial, Arrays]] = []
+        present = scenes_with(model, scenes)
+        plan, categories = self._plan(model), model.setting.categories
+        evaluated: list[tuple[Trial, Arrays]] = []
         examples: list[Example] = []
-        for trial, arrays in self._each(subject, scenes, evaluate_trial, (choices,), title, silent):
+        for trial, arrays in self._each(model, scenes, evaluate_trial, (selected,), title, silent):
             maps = maps_of(trial, plan, arrays)
             save(maps.cropped())
-            measured.append((trial, {name: arrays[name] for name in COUNTED}))
+            evaluated.append((trial, {name: arrays[name] for name in COUNTED}))
             examples += [
                 maps.example(layer)
                 for layer, category in enumerate(categories)
                 if trial.number == 0 and trial.scene == present[category][0]
             ]
         return Report(
-            self._by_key("counts", measured, categories, present),
-            self._by_key("counts_shuffled", measured, categories, present),
-            choices,
+            self._by_key("counts", evaluated, categories, present),
+            self._by_key("counts_shuffled", evaluated, categories, present),
+            selected,
             present,
             {
                 category: [scene for scene in scenes if scene not in names]
                 for category, names in present.items()
             },
             examples,
-            [arrays["snap_distance"] for _, arrays in measured],
-            self._by_key("counts_seen", measured, categories, present),
-            _ratios(measured, categories) if "images" in plan.needs else {},
+            [arrays["snap_distance"] for _, arrays in evaluated],
+            self._by_key("counts_seen", evaluated, categories, present),
+            _first_person_iou(evaluated, categories) if "images" in plan.needs else {},
         )
 
     def _by_key(
         self,
         kind: str,
-        measured: Sequence[tuple[Trial, Arrays]],
+        evaluated: Sequence[tuple[Trial, Arrays]],
         categories: Sequence[str],
         present: Mapping[str, Sequence[str]],
     ) -> Counts:
-        """Counts of one kind, of the scenes that contain the category."""
+        """Return counts of one kind by row of the table, over the scenes that contain the category."""
         counts = {}
         for (place, name), (layer, category), width in product(
             enumerate(self.approaches), enumerate(categories), map(float, self.cell_widths)
         ):
             rows = [
                 arrays[kind][place, layer]
-                for trial, arrays in measured
+                for trial, arrays in evaluated
                 if trial.cell_width == width and trial.scene in present[category]
             ]
             counts[Key(name, category, width)] = np.stack(rows).reshape(-1, self.viewpoint_sets, 3)
         return counts
 
-    def _plan(self, subject: ModelUnderTest) -> Plan:
-        return Plan(self.approaches, subject.setting, ViewpointSampling(self.seed, self.orientations))
+    def _plan(self, model: ModelUnderTest) -> Plan:
+        return Plan(self.approaches, model.setting, ViewpointSampling(self.seed, self.orientations))
 
     def _each(
         self,
-        subject: ModelUnderTest,
+        model: ModelUnderTest,
         scenes: Sequence[str],
         task: Callable[..., Arrays],
         arguments: tuple[Any, ...],
         title: str,
         silent: bool,
     ) -> Iterator[tuple[Trial, Arrays]]:
-        """What `task` gives of every run: scene by scene, then by cell width and viewpoint set.
+        """Yield the result of `task` for every trial, ordered by scene, cell width and viewpoint set.
 
-        Networks predict here, the workers of the scenes do the rest meanwhile. Finished runs are kept in the cache.
+        The networks predict in this process while the workers of the scenes run the tasks. Results are cached.
         """
-        plan, trials = self._plan(subject), trials_of(scenes, self.cell_widths, self.viewpoint_sets)
-        render(subject.pool, trials, plan.sampling, silent)
-        observer, cache = subject.pool.observer, subject.pool.observer.cache
-        networks = subject.predict.fingerprint if subject.keep else ""
+        plan, trials = self._plan(model), trials_of(scenes, self.cell_widths, self.viewpoint_sets)
+        render(model.pool, trials, plan.sampling, silent)
+        observer, cache = model.pool.observer, model.pool.observer.cache
+        networks = model.predict.fingerprint if model.keep else ""
         waiting: deque[tuple[dict[str, Any], Future[Arrays] | Arrays]] = deque()
 
         def start(trial: Trial) -> tuple[dict[str, Any], Future[Arrays] | Arrays]:
-            own = {"task": task.__name__, "arguments": repr(arguments), "networks": networks}
-            key = {**own, **plan.key(observer, trial)}
-            if subject.keep and (kept := cache.load(KIND, key)) is not None:
-                return key, kept
-            predictions = self._predict(subject, plan, views_of(observer, trial, plan.sampling))
-            return key, subject.pool.submit(task, trial.scene, trial, plan, *arguments, predictions)
+            job = {"task": task.__name__, "arguments": repr(arguments), "networks": networks}
+            key = {**job, **plan.key(observer, trial)}
+            if model.keep and (cached := cache.load(KIND, key)) is not None:
+                return key, cached
+            predictions = self._predict(model, plan, views_of(observer, trial, plan.sampling))
+            return key, model.pool.submit(task, trial.scene, trial, plan, *arguments, predictions)
 
         for place, trial in enumerate(trials if silent else progress(trials, title)):
-            waiting.extend(map(start, trials[place + len(waiting) : place + 1 + subject.pool.ahead]))
+            waiting.extend(map(start, trials[place + len(waiting) : place + 1 + model.pool.ahead]))
             key, result = waiting.popleft()
             if isinstance(result, Future):
                 result = result.result()
-                if subject.keep:
+                if model.keep:
                     cache.store(KIND, key, result)
             yield trial, result
 
-    def _predict(self, subject: ModelUnderTest, plan: Plan, views: Views) -> Predictions:
+    def _predict(self, model: ModelUnderTest, plan: Plan, views: Views) -> Predictions:
+        """Predict for the views of a trial; an empty viewpoint set gives arrays of length 0."""
         if len(views["pose"]):
-            return subject.predict(views, plan.needs)
-        size, setting = subject.setting.ego.cells, subject.setting
+            return model.predict(views, plan.needs)
+        size, setting = model.setting.ego.cells, model.setting
         maps = np.zeros((0, len(setting.layers), size, size), np.float32)
         return dict.fromkeys(NEEDS, maps) | {"images": views["categories"]}
 
 
-def _ratios(measured: Sequence[tuple[Trial, Arrays]], categories: Sequence[str]) -> dict[str, float]:
-    """IoU of the predicted segmentation of all images, for each category."""
-    pixels = sum((arrays["first_person"] for _, arrays in measured), np.zeros((len(categories), 2), np.int64))
+def _first_person_iou(
+    evaluated: Sequence[tuple[Trial, Arrays]], categories: Sequence[str]
+) -> dict[str, float]:
+    """Return the IoU of the predicted segmentation over all images, for each category."""
+    zero = np.zeros((len(categories), 2), np.int64)
+    pixels = sum((arrays["first_person"] for _, arrays in evaluated), zero)
     return {
-        name: both / max(either, 1) for name, (both, either) in zip(categories, pixels.tolist(), strict=True)
+        name: intersection / max(union, 1)
+        for name, (intersection, union) in zip(categories, pixels.tolist(), strict=True)
     }
 
 
-def scenes_with(subject: ModelUnderTest, scenes: Sequence[str]) -> dict[str, list[str]]:
-    """For each evaluated category, those of the scenes that contain it.
+def scenes_with(model: ModelUnderTest, scenes: Sequence[str]) -> dict[str, list[str]]:
+    """Return the scenes that contain each evaluated category.
 
     Raises:
-        UserError: if a category is in none of them.
+        UserError: if a category is in none of the scenes.
     """
-    observer, setting = subject.pool.observer, subject.setting
+    observer, setting = model.pool.observer, model.setting
     present = {
-        category: [scene for scene in scenes if observer.truth(scene).truth[layer].any()]
+        category: [scene for scene in scenes if observer.ground_truth(scene).truth[layer].any()]
         for category, layer in zip(setting.categories, setting.layers, strict=True)
     }
     for category, names in present.items():
         if not names:
             raise UserError(
                 f"category {category!r}: none of the {len(scenes)} scenes to evaluate contains one "
-                f"({first_of(scenes)}); choose another category or more scenes"
+                f"({first_of(scenes)}); evaluate another category or more scenes"
             )
     return present

@@ -1,4 +1,4 @@
-"""What an evaluation finds: counts of every run, what was chosen on validation scenes, and examples to draw."""
+"""Records of an evaluation: counts of every trial, thresholds selected on validation scenes, and example maps."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,14 +14,14 @@ from imagination.utils.atomic_io import write_text
 from imagination.utils.tabular import to_csv
 
 SCENES = "scenes.csv"
-"""In tables/: the scenes to measure; which of them are missing is seen where an evaluation stopped."""
+"""File in tables/ with the names of the test scenes; shows which are missing after an interrupted evaluation."""
 
 SelectedThresholds = dict[tuple[str, str], SelectedThreshold]
-"""What was chosen for each approach and category."""
+"""Selected threshold and kernel by approach and category."""
 
 
 class Key(NamedTuple):
-    """A row of the table."""
+    """Key of a row of the results table."""
 
     approach: str
     category: str
@@ -29,18 +29,20 @@ class Key(NamedTuple):
 
 
 Counts = dict[Key, Int64[np.ndarray, "scenes sets 3"]]
-"""Correct, false and truth pixels of every run of the scenes that contain the category."""
+"""Correct, false-positive and ground-truth pixels of every trial in the scenes that contain the category."""
 
 
 class Example(NamedTuple):
-    """Maps of one run, for figures.
+    """Maps of one trial and category, for figures.
 
     Attributes:
-        run, category: which.
-        grid: of the maps.
-        occupied, truth: M_occu and M_gt.
-        predicted: the map of each approach.
-        poses: of the views.
+        trial: viewpoint set of a scene.
+        category: name of the category.
+        grid: grid of the maps.
+        occupied: occupancy map M_occu.
+        truth: ground-truth map M_gt.
+        predicted: predicted map by approach.
+        poses: poses of the views (x, y in metres, heading in radians).
     """
 
     trial: Trial
@@ -53,23 +55,24 @@ class Example(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What was measured.
+    """Results of an evaluation on one set of scenes.
 
     Attributes:
-        counts: of whole maps.
-        shuffled: the same with the views of each run registered in a random order.
-        choices: threshold and kernel of each approach and category.
-        scenes, left_out: for each category, the scenes that contain it and those that do not.
+        counts: counts over whole maps.
+        shuffled: counts over whole maps with the views of each trial registered in a random order.
+        selected: selected threshold and kernel by approach and category.
+        scenes: names of the scenes that contain each category.
+        left_out: names of the scenes that do not contain each category.
         examples: maps of the first viewpoint set of each category's first scene, one for each cell width.
-        snap_distances: how far each viewpoint of each run was moved to free space, metres.
-        seen: counts in the cells alone that a view of the run saw.
-        first_person: IoU of the predicted segmentation of the runs' images, pooled over them, for each category; empty
-            without a segmentation network.
+        snap_distances: distance from each viewpoint of each trial to its free cell, metres.
+        seen: counts over the cells that at least one view of the trial saw.
+        first_person: IoU of the predicted first-person segmentation by category, pooled over all images; empty without
+            a segmentation network.
     """
 
     counts: Counts
     shuffled: Counts
-    choices: SelectedThresholds
+    selected: SelectedThresholds
     scenes: dict[str, list[str]]
     left_out: dict[str, list[str]]
     examples: list[Example]
@@ -79,5 +82,5 @@ class Report(NamedTuple):
 
 
 def write_scenes(folder: Path, scenes: Sequence[str]) -> None:
-    """Write the names of the scenes that will be measured."""
+    """Write the names of the scenes to evaluate to scenes.csv."""
     write_text(folder / SCENES, to_csv([{"scene": scene} for scene in scenes]))

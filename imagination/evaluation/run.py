@@ -1,4 +1,4 @@
-"""Evaluate trained networks: thresholds on validation scenes, global maps and single views of test scenes."""
+"""Evaluation of trained networks: thresholds on validation scenes, global maps and single views of test scenes."""
 
 import logging
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ class Evaluation(NamedTuple):
     """Records of an evaluation, from which tables and figures are made.
 
     Attributes:
-        protocol: with the approaches that were evaluated.
+        protocol: protocol with the approaches that were evaluated.
         setting: camera, grid and categories.
-        report: of the test scenes.
-        known: of scenes with furniture as in training; None if none were asked for.
-        credits: whose models and scans the scenes hold.
-        seed: of the run that trained.
-        seconds: of wall time.
+        report: results on the test scenes.
+        known: results on scenes with training furniture; None if the protocol requests none.
+        credits: credits of the models and scans in the scenes.
+        seed: seed of the training run.
+        seconds: wall time, seconds.
     """
 
     protocol: MappingProtocol
@@ -42,7 +42,7 @@ class Evaluation(NamedTuple):
 def model_under_test(
     data: SceneData, models: Sequence[Model | Segmenter], precision: str, keep: bool = True
 ) -> ModelUnderTest:
-    """Trained networks, answering in `precision`, in the scenes of their data; units together imagine its categories."""
+    """Combine trained networks, which predict in `precision`, with the scenes and worker processes of their data."""
     observer = data.observer
     setting = Setting(
         observer.camera, observer.ego, data.layers, data.unit_categories, len(observer.categories)
@@ -58,53 +58,55 @@ def evaluate(
     """Select thresholds on validation scenes, evaluate on test scenes and write the records: maps and single views.
 
     Args:
-        protocol: of the evaluation; approaches that need other networks are left out.
+        protocol: protocol of the evaluation; approaches whose network is missing are left out.
         data: scenes and views.
         models: trained networks.
-        folder: tables/, maps/ and single_views.npz are written into it.
+        folder: folder of the results, for tables/, maps/ and single_views.npz.
 
     Raises:
-        UserError: if a split contains none of a category, an approach that was asked for lacks its network, or the
-            disk is full.
+        UserError: if a split does not contain a category, an approach in `only` lacks its network, or the disk is full.
     """
     start = perf_counter()
-    subject = model_under_test(data, models, protocol.precision)
-    asked, protocol = protocol, protocol.available(subject.predict.gives)
-    _log_left_out(asked, protocol)
+    model = model_under_test(data, models, protocol.precision)
+    requested, protocol = protocol, protocol.available(model.predict.gives)
+    _log_left_out(requested, protocol)
     for split in ("val", "test"):
         data.survey(split)
     source = data.observer.source
-    choices = protocol.select_thresholds(subject, source.scenes("val"))
+    selected = protocol.select_thresholds(model, source.scenes("val"))
     scenes = source.scenes("test")
     write_scenes(folder / "tables", scenes)
-    found = protocol.evaluate(subject, scenes, choices, save=lambda maps: saved_maps.save(folder, maps))
-    known = _known(protocol, subject, choices)
+    report = protocol.evaluate(model, scenes, selected, save=lambda maps: saved_maps.save(folder, maps))
+    known = _evaluate_known(protocol, model, selected)
     single_views.write(
-        folder, single_views.evaluate_single_views(protocol, subject, scenes, choices, data.imaginable)
+        folder, single_views.evaluate_single_views(protocol, model, scenes, selected, data.imaginable)
     )
     credits = source.credits() if isinstance(source, Credited) else ()
-    return Evaluation(protocol, subject.setting, found, known, credits, data.seed, perf_counter() - start)
+    return Evaluation(protocol, model.setting, report, known, credits, data.seed, perf_counter() - start)
 
 
-def _log_left_out(asked: MappingProtocol, available: MappingProtocol) -> None:
-    """Log the approaches that lack a network, unless approaches were named."""
-    left_out = [name for name in asked.approaches if name not in available.approaches and asked.only is None]
-    if left_out:
-        needed = {NEEDS[asked.approaches[name].evidence.needs or ""] for name in left_out}
-        log.info("Left out: %s, which would need %s", ", ".join(left_out), "; ".join(sorted(needed)))
+def _log_left_out(requested: MappingProtocol, available: MappingProtocol) -> None:
+    """Log the approaches whose network is missing, unless `only` selects the approaches."""
+    if requested.only is not None:
+        return
+    if left_out := [name for name in requested.approaches if name not in available.approaches]:
+        needed = {NEEDS[requested.approaches[name].evidence.needs or ""] for name in left_out}
+        log.info("Approaches left out: %s, which need %s", ", ".join(left_out), "; ".join(sorted(needed)))
 
 
-def _known(protocol: MappingProtocol, subject: ModelUnderTest, choices: SelectedThresholds) -> Report | None:
-    """The same in scenes with furniture as in training, none of which is trained on; None if none is asked for."""
+def _evaluate_known(
+    protocol: MappingProtocol, model: ModelUnderTest, selected: SelectedThresholds
+) -> Report | None:
+    """Evaluate in scenes with training furniture that were not trained on; None if the protocol requests none."""
     if not protocol.known_scenes:
         return None
-    source = subject.pool.observer.source
+    source = model.pool.observer.source
     if not isinstance(source, SpareScenes):
         log.warning(
-            "evaluation.known_scenes: the scene source %s has no scenes like those of training beside them, so known "
-            "furniture is not compared with unseen",
+            "evaluation.known_scenes: the scene source %s has no spare scenes with training furniture; known and "
+            "unseen furniture are not compared",
             source.name,
         )
         return None
     scenes = source.spare(protocol.known_scenes)
-    return protocol.evaluate(subject, scenes, choices, title="global maps of scenes with known furniture")
+    return protocol.evaluate(model, scenes, selected, title="global maps of scenes with known furniture")

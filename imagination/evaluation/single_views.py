@@ -1,4 +1,4 @@
-"""Single predictions: what each approach says about one view alone, against V_label."""
+"""Evaluation on single views: the map of each approach from one view, compared with its label V_label."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from imagination.evaluation.approaches import NO_RIVALS, REFERENCE
+from imagination.evaluation.approaches import CONTROLS, REFERENCE
 from imagination.evaluation.metrics import count, iou
 from imagination.evaluation.protocol import MappingProtocol, ModelUnderTest, scenes_with
 from imagination.evaluation.records import SelectedThresholds
@@ -15,38 +15,42 @@ from imagination.evaluation.threshold_selection import THRESHOLDS, confusion_cou
 from imagination.evaluation.trials import Trial, ViewpointSampling, render, trials_of, views_of
 from imagination.ground_truth.targets import label
 from imagination.mapping.predictor import ViewEvidence
-from imagination.utils.atomic_io import replacing, write_text
+from imagination.utils.atomic_io import write_npz, write_text
 from imagination.utils.errors import UserError, check_range
 from imagination.utils.tabular import Row, to_csv
 from imagination.views.collector import Views
 
 MIN_LABEL = 0.1
-"""Smallest label of a view that is ranked, square metres: of less, one cell decides."""
+"""Smallest label of a ranked view, square metres; in a smaller label a single cell decides the IoU."""
 
 RANKS = ("best", "median", "worst")
+"""Ranks of the views in the figures."""
 
 CELLS = ("all", "seen", "unseen")
-"""Cells over which the network's probabilities are counted: all, those that depth saw, the others."""
+"""Subsets of cells for the counts of the network's probabilities: all, seen by depth, not seen."""
 
 FILE = "single_views.npz"
-"""In a run's folder: the views shown."""
+"""File in the folder of the results with the views for the figures."""
 
 TABLE = "thresholds.csv"
-"""In tables/: correct, false and truth cells of single views at every threshold."""
+"""File in tables/ with correct, false-positive and ground-truth cells of single views at every threshold."""
 
 
 class SingleView(NamedTuple):
-    """One view and what each approach draws from it alone, with its threshold and kernel of the global map.
+    """One view and the map of each approach from it, with the threshold and kernel of the global map.
 
     Attributes:
         rank: best, median or worst by IoU of the approach in `ranked_by`.
-        category, scene: which.
-        pose: x, y, θ of the robot.
-        iou: of that approach.
-        rgb: what the camera saw.
-        seen, occupied, label: V_seen, egocentric occupancy and V_label.
-        probabilities: the unit's; not a number without one.
-        predicted: the map of each approach.
+        category: name of the category.
+        scene: name of the scene.
+        pose: x, y (metres) and heading (radians) of the robot.
+        iou: IoU of the ranking approach.
+        rgb: colour image.
+        seen: V_seen.
+        occupied: egocentric occupancy.
+        label: V_label.
+        probabilities: probabilities of the unit; NaN without a unit.
+        predicted: predicted map by approach.
     """
 
     rank: str
@@ -62,115 +66,113 @@ class SingleView(NamedTuple):
     predicted: dict[str, Bool[np.ndarray, "v v"]]
 
 
-class Singles(NamedTuple):
-    """What was found out about single views.
+class SingleViews(NamedTuple):
+    """Results on single views.
 
     Attributes:
-        shown: best, median and worst of each category.
-        tallies: correct, false and truth cells of each approach and category at `THRESHOLDS`, over all views.
-        cells: the same of the unit's probabilities, for each of `CELLS` and category; empty without one.
-        views: how many were looked at.
+        shown: best, median and worst view of each category.
+        counts: correct, false-positive and ground-truth cells by approach and category at `THRESHOLDS`, over all views.
+        cells: the same counts of the unit's probabilities by subset of `CELLS` and category; empty without a unit.
+        views: number of views.
         resolution: metres per cell.
     """
 
     shown: list[SingleView]
-    tallies: dict[tuple[str, str], Int64[np.ndarray, "t 3"]]
+    counts: dict[tuple[str, str], Int64[np.ndarray, "t 3"]]
     cells: dict[tuple[str, str], Int64[np.ndarray, "t 3"]]
     views: int
     resolution: float
 
 
-class _Place(NamedTuple):
-    """A view that is ranked: highest IoU first, then the largest label."""
+class _Ranked(NamedTuple):
+    """Sort key of a view (IoU, cells of the label), its trial and its index in the trial."""
 
     iou: float
     size: int
     trial: Trial
-    at: int
+    view_index: int
 
 
 def ranked_by(approaches: Sequence[str]) -> str:
-    """The approach whose IoU ranks the views: imagination; without it the last that is not told the truth."""
-    fair = [name for name in approaches if name not in NO_RIVALS]
-    return REFERENCE if REFERENCE in approaches else (fair or list(approaches))[-1]
+    """Return the approach whose IoU ranks the views: imagination if evaluated, else the last one not in `CONTROLS`."""
+    ranking = [name for name in approaches if name not in CONTROLS]
+    return REFERENCE if REFERENCE in approaches else (ranking or list(approaches))[-1]
 
 
 def evaluate_single_views(
     protocol: MappingProtocol,
-    subject: ModelUnderTest,
+    model: ModelUnderTest,
     scenes: Sequence[str],
-    choices: SelectedThresholds,
+    selected: SelectedThresholds,
     imaginable: int,
-) -> Singles:
-    """Look at the views of each scene's first viewpoint set of the smallest cell width one by one.
+) -> SingleViews:
+    """Evaluate each view of every scene's first viewpoint set at the smallest cell width.
 
     Args:
-        protocol: whose approaches and views are taken.
-        subject: what is evaluated.
-        scenes: of the test split.
-        choices: threshold and kernel of each approach and category.
-        imaginable: kernel δ of V_label, cells.
+        protocol: protocol with the approaches and the draw of viewpoints.
+        model: networks and worker processes.
+        scenes: names of the test scenes.
+        selected: threshold and kernel of each approach and category.
+        imaginable: dilation kernel δ of V_label, cells.
 
     Raises:
         UserError: if a category is in none of the scenes.
     """
-    present = scenes_with(subject, scenes)
+    present = scenes_with(model, scenes)
     sampling = ViewpointSampling(protocol.seed, protocol.orientations)
     trials = trials_of(scenes, [min(protocol.cell_widths)], 1)
-    render(subject.pool, trials, sampling, silent=True)
-    names, observer = list(protocol.approaches), subject.pool.observer
+    render(model.pool, trials, sampling, silent=True)
+    names, observer = list(protocol.approaches), model.pool.observer
     empty = np.zeros((len(THRESHOLDS), 3), np.int64)
-    tallies = {(name, category): empty.copy() for category in present for name in names}
-    imagined = "maps" in subject.predict.gives
-    cells = {(part, category): empty.copy() for category in present for part in CELLS if imagined}
-    places: dict[str, list[_Place]] = {category: [] for category in present}
-    views = 0
+    counts = {(name, category): empty.copy() for category in present for name in names}
+    has_unit = "maps" in model.predict.gives
+    cells = {(part, category): empty.copy() for category in present for part in CELLS if has_unit}
+    ranked: dict[str, list[_Ranked]] = {category: [] for category in present}
+    number = 0
     for trial in trials:
-        seen_here = views_of(observer, trial, sampling)
-        if not len(seen_here["pose"]):
+        views = views_of(observer, trial, sampling)
+        if not len(views["pose"]):
             continue
-        views += len(seen_here["pose"])
-        for view in _views(protocol, subject, seen_here, choices, imaginable):
-            truth, score = view.label, view.scores[ranked_by(names)]
+        number += len(views["pose"])
+        for view in _views(protocol, model, views, selected, imaginable):
+            score = view.scores[ranked_by(names)]
             for name in names:
-                tallies[name, view.category] += confusion_counts(view.scores[name], truth, THRESHOLDS)
+                counts[name, view.category] += confusion_counts(view.scores[name], view.label, THRESHOLDS)
             for part, mask in zip(CELLS, (view.seen | True, view.seen, ~view.seen), strict=True):
-                if imagined:
+                if has_unit:
                     inside = np.where(mask, view.probabilities, np.float32(0))
-                    cells[part, view.category] += confusion_counts(inside, truth & mask, THRESHOLDS)
-            predicted = score >= np.float32(choices[ranked_by(names), view.category].threshold)
-            value = float(iou(count(predicted, truth)))
-            places[view.category].append(_Place(value, int(truth.sum()), trial, view.at))
+                    cells[part, view.category] += confusion_counts(inside, view.label & mask, THRESHOLDS)
+            predicted = score >= np.float32(selected[ranked_by(names), view.category].threshold)
+            value = float(iou(count(predicted, view.label)))
+            ranked[view.category].append(_Ranked(value, int(view.label.sum()), trial, view.view_index))
     shown = []
-    for category, ranked in places.items():
-        for rank, place in picks(ranked, subject.setting.ego.resolution).items():
-            kept = views_of(observer, place.trial, sampling)
-            for view in _views(protocol, subject, kept, choices, imaginable):
-                if (view.category, view.at) == (category, place.at):
-                    shown.append(_shown(view, rank, place, kept, choices))
-    return Singles(shown, tallies, cells, views, subject.setting.ego.resolution)
+    for category, candidates in ranked.items():
+        for rank, best in picks(candidates, model.setting.ego.resolution).items():
+            views = views_of(observer, best.trial, sampling)
+            for view in _views(protocol, model, views, selected, imaginable):
+                if (view.category, view.view_index) == (category, best.view_index):
+                    shown.append(_shown(view, rank, best, views, selected))
+    return SingleViews(shown, counts, cells, number, model.setting.ego.resolution)
 
 
-def picks(places: Sequence[_Place], resolution: float) -> dict[str, _Place]:
-    """The best, median and worst of the views with a label of at least `MIN_LABEL`; of equals that with the most label.
+def picks(views: Sequence[_Ranked], resolution: float) -> dict[str, _Ranked]:
+    """Return the best, median and worst view with a label of at least `MIN_LABEL`; ties go to the largest label.
 
-    Where no label is that large, of those with any; empty where there is none.
+    If no label is that large, all views with a label are ranked; the result is empty if no view has a label.
     """
-    enough = [place for place in places if place.size * resolution**2 >= MIN_LABEL]
-    ranked = sorted(
-        enough or [place for place in places if place.size], key=lambda place: (place.iou, -place.size)
-    )
+    large = [view for view in views if view.size * resolution**2 >= MIN_LABEL]
+    ranked = sorted(large or [view for view in views if view.size], key=lambda view: (view.iou, -view.size))
     if not ranked:
         return {}
-    best = max(ranked, key=lambda place: (place.iou, place.size))
+    best = max(ranked, key=lambda view: (view.iou, view.size))
     return dict(zip(RANKS, (best, ranked[len(ranked) // 2], ranked[0]), strict=True))
 
 
 class _View(NamedTuple):
-    """One view of one category: the score of each approach, finished as chosen."""
+    """One view and category, with the score map of each approach after postprocessing."""
 
     category: str
-    at: int
+    view_index: int
     seen: Bool[np.ndarray, "v v"]
     label: Bool[np.ndarray, "v v"]
     probabilities: Float32[np.ndarray, "v v"]
@@ -179,28 +181,29 @@ class _View(NamedTuple):
 
 def _views(
     protocol: MappingProtocol,
-    subject: ModelUnderTest,
+    model: ModelUnderTest,
     views: Views,
-    choices: SelectedThresholds,
+    selected: SelectedThresholds,
     imaginable: int,
 ) -> Iterator[_View]:
-    setting = subject.setting
+    """Yield every category of every view with the score maps of all approaches."""
+    setting = model.setting
     needs = {need for approach in protocol.approaches.values() if (need := approach.evidence.needs)}
-    predictions = subject.predict(views, (needs | {"maps"}) & subject.predict.gives)
+    predictions = model.predict(views, (needs | {"maps"}) & model.predict.gives)
     labels = label(views["object"][:, setting.layers], views["seen"][:, None], imaginable)
-    statements: dict[object, ViewEvidence] = {}
+    by_source: dict[object, ViewEvidence] = {}
     for approach in protocol.approaches.values():
-        if approach.evidence not in statements:
-            statements[approach.evidence] = approach.evidence(views, predictions, setting)
-    imagined = "maps" in subject.predict.gives
-    probabilities = predictions["maps"] if imagined else np.full(labels.shape, np.nan, np.float32)
+        if approach.evidence not in by_source:
+            by_source[approach.evidence] = approach.evidence(views, predictions, setting)
+    has_unit = "maps" in model.predict.gives
+    probabilities = predictions["maps"] if has_unit else np.full(labels.shape, np.nan, np.float32)
     for layer, category in enumerate(setting.categories):
         for index in range(len(views["pose"])):
             scores = {}
             for name, approach in protocol.approaches.items():
-                said = statements[approach.evidence]
-                score = np.where(said.mask[index, layer], said.values[index, layer], np.float32(0))
-                kernel = choices[name, category].kernel
+                evidence = by_source[approach.evidence]
+                score = np.where(evidence.mask[index, layer], evidence.values[index, layer], np.float32(0))
+                kernel = selected[name, category].kernel
                 scores[name] = approach.apply_postprocess(
                     score, labels[index, layer], kernel, setting.ego.resolution
                 )
@@ -214,42 +217,43 @@ def _views(
             )
 
 
-def _shown(view: _View, rank: str, place: _Place, views: Views, choices: SelectedThresholds) -> SingleView:
+def _shown(view: _View, rank: str, ranked: _Ranked, views: Views, selected: SelectedThresholds) -> SingleView:
     predicted = {
-        name: score >= np.float32(choices[name, view.category].threshold)
+        name: score >= np.float32(selected[name, view.category].threshold)
         for name, score in view.scores.items()
     }
     return SingleView(
-        rank, view.category, place.trial.scene, views["pose"][view.at], place.iou, views["rgb"][view.at], view.seen,
-        views["occupied"][view.at], view.label, view.probabilities, predicted,
+        rank, view.category, ranked.trial.scene, views["pose"][view.view_index], ranked.iou,
+        views["rgb"][view.view_index], view.seen, views["occupied"][view.view_index], view.label, view.probabilities,
+        predicted,
     )  # fmt: skip
 
 
-def threshold_rows(singles: Singles) -> list[Row]:
-    """Counts of single views at every threshold: of each approach, and of the network over `CELLS`."""
+def threshold_rows(results: SingleViews) -> list[Row]:
+    """Return counts of single views at every threshold, for each approach and for the network over `CELLS`."""
     groups: list[tuple[str, str, str, Int64[np.ndarray, "t 3"]]] = [
-        *((name, "all", category, counts) for (name, category), counts in singles.tallies.items()),
-        *(("network", part, category, counts) for (part, category), counts in singles.cells.items()),
+        *((name, "all", category, counts) for (name, category), counts in results.counts.items()),
+        *(("network", part, category, counts) for (part, category), counts in results.cells.items()),
     ]
     return [
         {
             "approach": name,
             "cells": part,
             "category": category,
-            "views": str(singles.views),
+            "views": str(results.views),
             "threshold": f"{threshold:.2f}",
             "correct_cells": str(correct),
             "false_positives": str(false),
-            "gt_cells": str(truth),
+            "gt_cells": str(gt),
         }
         for name, part, category, counts in groups
-        for threshold, (correct, false, truth) in zip(THRESHOLDS.tolist(), counts.tolist(), strict=True)
+        for threshold, (correct, false, gt) in zip(THRESHOLDS.tolist(), counts.tolist(), strict=True)
     ]
 
 
-def to_arrays(singles: Singles) -> dict[str, np.ndarray]:
-    """The views shown as arrays with a leading axis, `predicted` with one more for `approaches`."""
-    shown = singles.shown
+def to_arrays(results: SingleViews) -> dict[str, np.ndarray]:
+    """Return the shown views as arrays with a leading axis; `predicted` has a second one for `approaches`."""
+    shown = results.shown
     names = list(shown[0].predicted) if shown else []
     arrays = {
         field: np.stack([np.asarray(getattr(view, field)) for view in shown]) if shown else np.zeros(0)
@@ -261,12 +265,12 @@ def to_arrays(singles: Singles) -> dict[str, np.ndarray]:
         **arrays,
         "predicted": np.stack(predicted) if predicted else np.zeros(0),
         "approaches": np.array(names, dtype=np.str_),
-        "resolution": np.array(singles.resolution),
+        "resolution": np.array(results.resolution),
     }
 
 
 def from_arrays(arrays: Mapping[str, np.ndarray]) -> list[SingleView]:
-    """The views that `to_arrays` made arrays of."""
+    """Return the views from the arrays of `to_arrays`."""
     names = arrays["approaches"].tolist()
     fields = [field for field in SingleView._fields if field != "predicted"]
     return [
@@ -278,33 +282,32 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> list[SingleView]:
     ]
 
 
-def write(folder: Path, singles: Singles) -> None:
-    """Write tables/thresholds.csv and the views shown into a run's folder, each whole or not at all."""
-    write_text(folder / "tables" / TABLE, to_csv(threshold_rows(singles)))
-    with replacing(folder / FILE) as temporary:
-        np.savez_compressed(temporary, **to_arrays(singles))  # type: ignore[arg-type]
+def write(folder: Path, results: SingleViews) -> None:
+    """Write tables/thresholds.csv and single_views.npz into the folder of the results, each atomically."""
+    write_text(folder / "tables" / TABLE, to_csv(threshold_rows(results)))
+    write_npz(folder / FILE, to_arrays(results))
 
 
 def load(path: Path) -> tuple[list[SingleView], float]:
-    """The views shown and the metres per cell, from a run's folder.
+    """Read single_views.npz: the views and the metres per cell.
 
     Raises:
-        UserError: if it is no file of single views.
+        UserError: if the file is missing, damaged or no file of single views.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
         views = [_checked(view) for view in from_arrays(arrays)]
         return views, check_range("resolution", float(arrays["resolution"]), 0.005, 1.0)
-    except Exception as error:  # zip, zlib and NumPy raise anything on a damaged file
+    except Exception as error:  # zip, zlib and NumPy raise various types on damaged files
         raise UserError(f"single views {path}: is damaged ({error}); evaluate again to make it") from error
 
 
 def _checked(view: SingleView) -> SingleView:
-    """The same, if its arrays are what they should be.
+    """Check types and shapes of the arrays and return the view.
 
     Raises:
-        UserError: with the first that is not.
+        UserError: if an array does not fit, with the first such array.
     """
     size = view.label.shape[0]
     maps = {"seen": view.seen, "occupied": view.occupied, "label": view.label, **view.predicted}
@@ -323,5 +326,5 @@ def _checked(view: SingleView) -> SingleView:
 
 
 def _item(value: Any) -> Any:
-    """An element of an array as Python has it; arrays as they are."""
+    """Convert a NumPy scalar to a Python value; return arrays unchanged."""
     return value.item() if isinstance(value, np.generic) else value

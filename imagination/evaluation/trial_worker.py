@@ -1,4 +1,4 @@
-"""The work on one run: its maps, and what is counted in them. Called in the worker process that holds the scene."""
+"""Evaluation of one trial in the worker process of its scene: its global maps and their confusion counts."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -23,16 +23,16 @@ from imagination.views.random_streams import Stream
 Arrays = dict[str, np.ndarray]
 
 Scores = Mapping[str, Float32[np.ndarray, "c h w"]]
-"""The map of each approach before its threshold."""
+"""Score map of each approach, before its threshold."""
 
 
 class Plan(NamedTuple):
-    """What is done with every run.
+    """Settings of the evaluation of every trial.
 
     Attributes:
-        approaches: by name.
+        approaches: approaches by name.
         setting: camera, grid and categories.
-        looks: how views were drawn.
+        sampling: draw of the viewpoints.
     """
 
     approaches: Mapping[str, Approach]
@@ -41,11 +41,11 @@ class Plan(NamedTuple):
 
     @property
     def needs(self) -> set[str]:
-        """What the approaches need of networks."""
+        """Network predictions that the approaches need."""
         return {need for approach in self.approaches.values() if (need := approach.evidence.needs)}
 
     def key(self, observer: Observer, trial: Trial) -> dict[str, Any]:
-        """What a run's maps depend on beside the networks, as plain values."""
+        """Return the part of a trial's cache key that does not depend on the networks, as plain values."""
         views = self.sampling.key(observer, trial)
         return {
             "views": views,
@@ -54,35 +54,35 @@ class Plan(NamedTuple):
         }
 
     def area(self, observer: Observer, trial: Trial, views: Views) -> Area:
-        """The part of the scene that the run can write to."""
+        """Return the part of the scene that the views of the trial can reach."""
         margin = max(kernel for approach in self.approaches.values() for kernel in approach.kernels)
-        truth = observer.truth(trial.scene)
-        return area_of(truth, self.setting.layers, views["pose"], self.setting.ego, margin)
+        gt = observer.ground_truth(trial.scene)
+        return area_of(gt, self.setting.layers, views["pose"], self.setting.ego, margin)
 
 
 def count_trial(observer: Observer, scene: str, trial: Trial, plan: Plan, predictions: Predictions) -> Arrays:
-    """Counts of every approach, category, kernel and threshold, [c k t 3] for each approach: what is chosen from."""
+    """Count pixels for threshold selection: [c, k, t, 3] by category, kernel and threshold for each approach."""
     views = views_of(observer, trial, plan.sampling)
     area = plan.area(observer, trial, views)
     scores = score_maps(
         views, predictions, plan.approaches, plan.setting, area.grid, np.arange(len(views["pose"]))
     )
-    tallies = {}
+    counts = {}
     for name, approach in plan.approaches.items():
-        tallies[name] = np.stack(
+        counts[name] = np.stack(
             [
                 [
                     confusion_counts(
-                        approach.apply_postprocess(layer, truth, kernel, area.grid.resolution),
-                        truth,
+                        approach.apply_postprocess(layer, gt, kernel, area.grid.resolution),
+                        gt,
                         THRESHOLDS,
                     )
                     for kernel in approach.kernels
                 ]
-                for layer, truth in zip(scores[name], area.truth, strict=True)
+                for layer, gt in zip(scores[name], area.truth, strict=True)
             ]
         )
-    return tallies
+    return counts
 
 
 def evaluate_trial(
@@ -90,21 +90,21 @@ def evaluate_trial(
     scene: str,
     trial: Trial,
     plan: Plan,
-    choices: SelectedThresholds,
+    selected: SelectedThresholds,
     predictions: Predictions,
 ) -> Arrays:
-    """The finished maps of a run and their counts.
+    """Compute the postprocessed maps of a trial and their counts.
 
     Returns:
-        Of the fields of `SavedMaps`, those that are arrays, and resolution and origin; counts, in seen cells alone
-        (counts_seen), and with views registered in a random order (counts_shuffled), [a c 3] each; snap_distance of
-        the viewpoints; first_person [c 2], pixels in which the predicted segmentation and the true one agree on the
-        category and in which either has it, without a segmentation network 0.
+        the array fields of `SavedMaps`, resolution and origin; counts over whole maps (counts), over seen cells
+        (counts_seen) and with views registered in a random order (counts_shuffled), [a, c, 3] each; snap_distance of
+        the viewpoints; first_person [c, 2], pixels in the intersection and in the union of predicted and ground-truth
+        segmentation (0 without a segmentation network).
     """
     views = views_of(observer, trial, plan.sampling)
     area = plan.area(observer, trial, views)
     number = len(views["pose"])
-    width = round(trial.cell_width * 1000)  # millimetres, since seeds are integers
+    width = round(trial.cell_width * 1000)  # millimetres: seeds are integers
     seed = [plan.sampling.seed, Stream.REGISTRATION_ORDER, crc32(trial.scene.encode()), width, trial.number]
     orders = np.arange(number), np.random.default_rng(seed).permutation(number)
     levels = [
@@ -112,18 +112,18 @@ def evaluate_trial(
             score_maps(views, predictions, plan.approaches, plan.setting, area.grid, order),
             plan,
             area,
-            choices,
+            selected,
         )
         for order in orders
     ]
-    threshold = _thresholds(plan, choices)
+    threshold = _thresholds(plan, selected)
     predicted, shuffled = (level >= threshold[..., None, None] for level in levels)
     seen = seen_map(views, plan.setting.ego, area.grid)
     return {
         "level": levels[0],
         "threshold": threshold,
         "truth": area.truth,
-        "present": np.asarray(observer.truth(scene).truth[plan.setting.layers].any(axis=(1, 2))),
+        "present": np.asarray(observer.ground_truth(scene).truth[plan.setting.layers].any(axis=(1, 2))),
         "seen": seen,
         "occupied": area.occupied,
         "poses": views["pose"],
@@ -138,22 +138,22 @@ def evaluate_trial(
 
 
 def maps_of(trial: Trial, plan: Plan, arrays: Arrays) -> SavedMaps:
-    """The maps among what `evaluate_trial` gave."""
+    """Return the maps in the arrays of `evaluate_trial`."""
     x, y = arrays["origin"].tolist()
     rows, columns = arrays["seen"].shape
     grid = Grid(float(arrays["resolution"]), rows, columns, (x, y))
-    held = {name: arrays[name] for name in SavedMaps._fields if name in arrays}
-    return SavedMaps(trial, list(plan.approaches), list(plan.setting.categories), **held, grid=grid)
+    fields = {name: arrays[name] for name in SavedMaps._fields if name in arrays}
+    return SavedMaps(trial, list(plan.approaches), list(plan.setting.categories), **fields, grid=grid)
 
 
 def _levels(
-    scores: Scores, plan: Plan, area: Area, choices: SelectedThresholds
+    scores: Scores, plan: Plan, area: Area, selected: SelectedThresholds
 ) -> UInt8[np.ndarray, "a c h w"]:
-    """How many of `THRESHOLDS` each cell of the finished maps reaches; nothing where a category has no choice."""
+    """Return the number of `THRESHOLDS` that each cell of the postprocessed maps reaches."""
     levels = np.zeros((len(plan.approaches), *area.truth.shape), np.uint8)
     for place, (name, approach) in enumerate(plan.approaches.items()):
         for layer, category in enumerate(plan.setting.categories):
-            kernel = choices[name, category].kernel
+            kernel = selected[name, category].kernel
             score = approach.apply_postprocess(
                 scores[name][layer], area.truth[layer], kernel, area.grid.resolution
             )
@@ -161,11 +161,11 @@ def _levels(
     return levels
 
 
-def _thresholds(plan: Plan, choices: SelectedThresholds) -> UInt8[np.ndarray, "a c"]:
-    """In hundredths."""
+def _thresholds(plan: Plan, selected: SelectedThresholds) -> UInt8[np.ndarray, "a c"]:
+    """Return the selected thresholds in hundredths."""
     return np.array(
         [
-            [round(100 * choices[name, category].threshold) for category in plan.setting.categories]
+            [round(100 * selected[name, category].threshold) for category in plan.setting.categories]
             for name in plan.approaches
         ],
         np.uint8,
@@ -173,17 +173,18 @@ def _thresholds(plan: Plan, choices: SelectedThresholds) -> UInt8[np.ndarray, "a
 
 
 def _counts(
-    predicted: Bool[np.ndarray, "a c h w"], truth: Bool[np.ndarray, "c h w"]
+    predicted: Bool[np.ndarray, "a c h w"], gt: Bool[np.ndarray, "c h w"]
 ) -> Int64[np.ndarray, "a c 3"]:
     return np.array(
-        [[count(layer, true) for layer, true in zip(maps, truth, strict=True)] for maps in predicted]
+        [[count(layer, gt_layer) for layer, gt_layer in zip(maps, gt, strict=True)] for maps in predicted]
     )
 
 
 def _agreement(
-    truth: UInt8[np.ndarray, "n h w"], predicted: UInt8[np.ndarray, "n h w"] | None, layers: list[int]
+    gt: UInt8[np.ndarray, "n h w"], predicted: UInt8[np.ndarray, "n h w"] | None, layers: list[int]
 ) -> Int64[np.ndarray, "c 2"]:
+    """Count the pixels in intersection and union of two segmentations, for each category."""
     if predicted is None:
         return np.zeros((len(layers), 2), np.int64)
-    pairs = [(truth == layer + 1, predicted == layer + 1) for layer in layers]
-    return np.array([[np.count_nonzero(one & other), np.count_nonzero(one | other)] for one, other in pairs])
+    pairs = [(gt == layer + 1, predicted == layer + 1) for layer in layers]
+    return np.array([[np.count_nonzero(a & b), np.count_nonzero(a | b)] for a, b in pairs])

@@ -1,4 +1,4 @@
-"""The views that evaluation looks at: sparse viewpoints of a scene, two random headings each, kept in the cache."""
+"""Trials of the evaluation and their views: sparse viewpoints of a scene with random headings, kept in the cache."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -16,7 +16,7 @@ from imagination.views.random_streams import Stream
 from imagination.views.scene_workers import ScenePool
 
 KIND = "evaluation_views"
-"""Name of these entries in the cache."""
+"""Kind of the cache entries that hold the views of a trial."""
 
 
 class Trial(NamedTuple):
@@ -25,7 +25,7 @@ class Trial(NamedTuple):
     Attributes:
         scene: name of the scene.
         cell_width: spacing of the viewpoints, metres.
-        number: of the set.
+        number: index of the viewpoint set.
     """
 
     scene: str
@@ -34,47 +34,53 @@ class Trial(NamedTuple):
 
 
 class ViewpointSampling(NamedTuple):
-    """How the viewpoints of runs are drawn: the seed and how many random headings each gets."""
+    """Random draw of the viewpoints of trials.
+
+    Attributes:
+        seed: seed of viewpoints and headings.
+        orientations: random headings at each viewpoint.
+    """
 
     seed: int
     orientations: int
 
     def key(self, observer: Observer, trial: Trial) -> dict[str, Any]:
-        """What the views of a run depend on."""
-        return {"views": observer.view_key(trial.scene), "run": list(trial), "looks": list(self)}
+        """Return the cache key of the views of a trial."""
+        return {"views": observer.view_key(trial.scene), "trial": list(trial), "sampling": list(self)}
 
 
 def trials_of(scenes: Sequence[str], cell_widths: Sequence[float], viewpoint_sets: int) -> list[Trial]:
-    """All runs: every scene, cell width and viewpoint set."""
+    """Return all trials: every scene, cell width and viewpoint set."""
     places = product(scenes, map(float, cell_widths), range(viewpoint_sets))
     return [Trial(scene, width, number) for scene, width, number in places]
 
 
 def render(pool: ScenePool, trials: Sequence[Trial], sampling: ViewpointSampling, silent: bool) -> None:
-    """Put the views of all runs into the cache, those of each scene in its worker; what is there already stays.
+    """Render the views of all trials that are missing in the cache, those of each scene in its worker process.
 
     Args:
-        pool: renders.
-        runs: whose views are wanted.
-        looks: how they are drawn.
-        silent: show no progress, since something else does.
+        pool: worker processes that render.
+        trials: trials to render.
+        sampling: draw of the viewpoints.
+        silent: whether to show no progress bar.
     """
     missing: dict[str, list[Trial]] = {}
     for trial in trials:
         if pool.observer.cache.load(KIND, sampling.key(pool.observer, trial)) is None:
             missing.setdefault(trial.scene, []).append(trial)
-    tasks = [pool.submit(_render_scene, scene, home_runs, sampling) for scene, home_runs in missing.items()]
+    tasks = [pool.submit(_render_scene, scene, group, sampling) for scene, group in missing.items()]
     for task in tasks if silent or not tasks else progress(tasks, "views from sparse viewpoints (scenes)"):
         task.result()
 
 
 def views_of(observer: Observer, trial: Trial, sampling: ViewpointSampling) -> Views:
-    """The views of one run, in viewpoint order, then orientation.
+    """Return the views of one trial, ordered by viewpoint, then by orientation.
 
-    Beside what `stack` gives: for each viewpoint snap_distance, how far it was moved to free space, metres.
+    The dictionary holds the arrays of `stack` and snap_distance, the distance from each viewpoint to its free cell in
+    metres.
     """
     return observer.cache.get_or_build(
-        KIND, sampling.key(observer, trial), lambda: _look(observer, trial, sampling)
+        KIND, sampling.key(observer, trial), lambda: _render(observer, trial, sampling)
     )
 
 
@@ -85,8 +91,8 @@ def _render_scene(
         views_of(observer, trial, sampling)
 
 
-def _look(observer: Observer, trial: Trial, sampling: ViewpointSampling) -> Views:
-    # widths in millimetres, since seeds are integers
+def _render(observer: Observer, trial: Trial, sampling: ViewpointSampling) -> Views:
+    # cell widths in millimetres: seeds are integers
     rng = np.random.default_rng(
         [
             sampling.seed,
@@ -103,8 +109,8 @@ def _look(observer: Observer, trial: Trial, sampling: ViewpointSampling) -> View
         for (x, y), turns in zip(viewpoints.snapped, headings, strict=True)
         for theta in turns
     ]
-    x, y = observer.truth(trial.scene).points[0].tolist()
-    somewhere = Pose(x, y, 0.0)  # gives the arrays of an empty set their shapes
-    arrays = stack([observer.observe(trial.scene, pose, rng) for pose in poses or [somewhere]])
+    x, y = observer.ground_truth(trial.scene).points[0].tolist()
+    placeholder = Pose(x, y, 0.0)  # gives the arrays of an empty viewpoint set their shapes
+    arrays = stack([observer.observe(trial.scene, pose, rng) for pose in poses or [placeholder]])
     views = {name: values[: len(poses)] for name, values in arrays.items()}
     return {**views, "snap_distance": viewpoints.distance}

@@ -14,9 +14,9 @@ class Viewpoints(NamedTuple):
     """One set of viewpoints of a scene; metres, world frame.
 
     Attributes:
-        points: as Algorithm 1 returns them; they may lie in furniture.
-        snapped: the centre of the free cell nearest to each; several may share one.
-        distance: from each point to its free cell's centre.
+        points: points that Algorithm 1 returns, some of them inside furniture.
+        snapped: centre of the nearest free cell of each point; several points may share one.
+        distance: distance from each point to the centre of its free cell.
     """
 
     points: Float[np.ndarray, "n 2"]
@@ -25,21 +25,22 @@ class Viewpoints(NamedTuple):
 
 
 def sparse_viewpoints(free: FreeSpace, cell_width: float, rng: np.random.Generator) -> Viewpoints:
-    """One random set of viewpoints about `cell_width` apart (Algorithm 1).
+    """Draw one random set of viewpoints about `cell_width` apart (Algorithm 1).
 
-    It may be empty, where the cell width is not much smaller than the scene.
+    The set is empty if no point of the mesh grid is on free space, which happens where the cell width is not much
+    smaller than the scene.
 
     A mesh grid of that spacing starts at the lower left of the free space's bounding box and runs along x first. Its
-    points on free space, tested before anything is added, are all shifted by one offset drawn from ± cell_width / 2 in
-    x and y, and each by one of its own from ± cell_width / 6.
+    points on free space are selected before any offset is added. One offset from ± cell_width / 2 in x and y shifts
+    all of them, and a second offset from ± cell_width / 6 is drawn for each point.
 
     Args:
-        free: where the robot may stand, one connected part.
-        cell_width: metres.
-        rng: drives the offsets.
+        free: free space for the robot, one connected component.
+        cell_width: spacing of the viewpoints, metres.
+        rng: random generator of the offsets.
 
     Raises:
-        UserError: if the cell width is out of range, or nothing is free.
+        UserError: if the cell width is out of range, or no cell is free.
     """
     check_range("cell_width", cell_width, 0.1, 100.0, "m")
     if not free.mask.any():
@@ -55,7 +56,7 @@ def sparse_viewpoints(free: FreeSpace, cell_width: float, rng: np.random.Generat
 
 
 def _mesh_grid(free: FreeSpace, cell_width: float) -> Float[np.ndarray, "n 2"]:
-    """Points of the mesh grid, from the lowest to the highest centre of a free cell, along x first."""
+    """Return the points of the mesh grid from the lowest to the highest centre of a free cell, along x first."""
     centres = free.grid.to_points(np.argwhere(free.mask))
     low, high = centres.min(axis=0), centres.max(axis=0) + 1e-6
     x, y = np.meshgrid(np.arange(low[0], high[0], cell_width), np.arange(low[1], high[1], cell_width))
@@ -66,5 +67,5 @@ def _is_free(
     mask: Bool[np.ndarray, "h w"], grid: Grid, points: Float[np.ndarray, "n 2"]
 ) -> Bool[np.ndarray, " n"]:
     cells = grid.to_cells(points)
-    found: np.ndarray = mask[cells[:, 0], cells[:, 1]]
-    return found
+    free: np.ndarray = mask[cells[:, 0], cells[:, 1]]
+    return free

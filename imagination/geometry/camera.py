@@ -11,14 +11,14 @@ from imagination.utils.errors import check_range
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with square pixels and the principal point at the image's centre.
+    """Pinhole camera with square pixels and the principal point at the image centre.
 
     Attributes:
-        width, height: pixels.
-        field_of_view: horizontal, radians.
-        mount_height: of the optical centre above the floor, metres.
-        pitch: radians, positive looks down.
-        roll: radians about the optical axis, positive turns the camera clockwise as seen from behind.
+        width, height: image size, pixels.
+        field_of_view: horizontal field of view, radians.
+        mount_height: height of the optical centre above the floor, metres.
+        pitch: pitch angle, radians; positive tilts the camera down.
+        roll: roll angle about the optical axis, radians; positive is clockwise as seen from behind.
     """
 
     width: int
@@ -33,7 +33,7 @@ class Camera:
         check_range("camera.height", self.height, 8, 8192, "pixels")
         check_range("camera.field_of_view", self.field_of_view, 0.1, 3.0, "rad")
         check_range("camera.mount_height", self.mount_height, 0.05, 5.0, "m")
-        check_range("camera.pitch", self.pitch, -1.4, 1.4, "rad (positive looks down)")
+        check_range("camera.pitch", self.pitch, -1.4, 1.4, "rad (positive is down)")
         check_range("camera.roll", self.roll, -np.pi, np.pi, "rad")
 
     @classmethod
@@ -46,12 +46,12 @@ class Camera:
         pitch: float = 0.0,
         roll: float = 0.0,
     ) -> "Camera":
-        """The camera as configured: angles in degrees, everything else as in the class."""
+        """Return a camera from angles in degrees; the other arguments are those of the class."""
         check_range("camera.field_of_view", field_of_view, 6, 170, "degrees")
-        check_range("camera.pitch", pitch, -80, 80, "degrees (positive looks down)")
+        check_range("camera.pitch", pitch, -80, 80, "degrees (positive is down)")
         check_range("camera.roll", roll, -180, 180, "degrees")
-        fov, tilt, turn = np.deg2rad([field_of_view, pitch, roll]).tolist()
-        return cls(width, height, fov, mount_height, tilt, turn)
+        fov, pitch_angle, roll_angle = np.deg2rad([field_of_view, pitch, roll]).tolist()
+        return cls(width, height, fov, mount_height, pitch_angle, roll_angle)
 
     @property
     def focal_length(self) -> float:
@@ -60,11 +60,11 @@ class Camera:
 
     @property
     def principal_point(self) -> tuple[float, float]:
-        """Pixel coordinates of the optical axis."""
+        """Pixel coordinates (u, v) of the optical axis."""
         return self.width / 2, self.height / 2
 
     def to_robot(self) -> Float[np.ndarray, "4 4"]:
-        """Transform from the optical frame to the robot's frame (x forward, y left, z up, origin on the floor)."""
+        """Return the transform from the optical frame to the robot frame (x forward, y left, z up; on the floor)."""
         optical_to_level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
         cos_p, sin_p = np.cos(self.pitch), np.sin(self.pitch)
         pitch = np.array([[cos_p, 0.0, sin_p], [0.0, 1.0, 0.0], [-sin_p, 0.0, cos_p]])
@@ -76,7 +76,7 @@ class Camera:
         return transform
 
     def to_world(self, pose: Pose, floor_height: float = 0.0) -> Float[np.ndarray, "4 4"]:
-        """Transform from the optical frame to the world's, for the robot at `pose` on a floor at `floor_height`."""
+        """Return the transform from the optical frame to the world frame, for a robot at `pose`."""
         robot_to_world = np.eye(4)
         planar = pose.matrix()
         robot_to_world[:2, :2], robot_to_world[:2, 3] = planar[:2, :2], planar[:2, 2]

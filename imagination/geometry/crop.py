@@ -1,4 +1,4 @@
-"""Where egocentric cells lie in a global map, and the window around the robot cut out of it (docs/conventions.md)."""
+"""Affine map from egocentric cells to global cells, and egocentric crops of global maps (docs/conventions.md)."""
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -10,7 +10,7 @@ from imagination.utils.jit import compiled
 
 
 def ego_to_grid(ego: EgoGrid, grid: Grid, pose: Pose) -> Float64[np.ndarray, "2 3"]:
-    """Affine map from egocentric (row, column, 1) to global (row, column); whole numbers are centres of cells.
+    """Return the affine map from egocentric (row, column, 1) to global (row, column); integers are cell centres.
 
     Raises:
         UserError: if the pose is not finite.
@@ -19,30 +19,32 @@ def ego_to_grid(ego: EgoGrid, grid: Grid, pose: Pose) -> Float64[np.ndarray, "2 
         raise UserError(f"pose: got {tuple(pose)}, expected finite x, y in metres and theta in radians")
     scale = ego.resolution / grid.resolution
     cos, sin = scale * np.cos(pose.theta), scale * np.sin(pose.theta)
-    turn = np.array([[sin, cos], [-cos, sin]])  # heading along +y, both maps look up: the identity
+    rotation = np.array([[sin, cos], [-cos, sin]])  # the identity for a heading along +y: both maps point up
     robot = [
         grid.rows - 0.5 - (pose.y - grid.origin[1]) / grid.resolution,
         (pose.x - grid.origin[0]) / grid.resolution - 0.5,
     ]
-    return np.column_stack([turn, robot - turn @ [ego.cells - 1, ego.cells // 2]])
+    return np.column_stack([rotation, robot - rotation @ [ego.cells - 1, ego.cells // 2]])
 
 
 def crop(
     layer: Bool[np.ndarray, "*b h w"], grid: Grid, pose: Pose, ego: EgoGrid
 ) -> Bool[np.ndarray, "*b v v"]:
-    """The egocentric window of global maps: each cell gets the value of the global cell that its centre lies in.
+    """Crop the egocentric window from global maps: each cell takes the value of the global cell at its centre.
 
     Args:
-        layer: one map of the grid, or any number stacked in front.
-        grid: of the maps.
-        pose: of the robot.
-        ego: grid of the result; cells outside the global map are False.
+        layer: one global map, or several with leading axes.
+        grid: grid of the global maps.
+        pose: pose of the robot.
+        ego: grid of the crop; cells outside the global map are False.
 
     Raises:
-        UserError: if the pose is not finite or the maps have another shape than the grid.
+        UserError: if the pose is not finite, or the shape of the maps differs from the grid.
     """
     if layer.shape[-2:] != grid.shape:
-        raise UserError(f"map to crop: got shape {layer.shape[-2:]}, expected {grid.shape} as the grid has")
+        raise UserError(
+            f"map to crop: got shape {layer.shape[-2:]}, expected {grid.shape}, the shape of the grid"
+        )
     out = np.zeros((*layer.shape[:-2], ego.cells, ego.cells), np.bool_)
     _pull(layer.reshape(-1, *grid.shape), ego_to_grid(ego, grid, pose), out.reshape(-1, ego.cells, ego.cells))
     return out

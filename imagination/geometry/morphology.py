@@ -1,4 +1,4 @@
-"""Growing and closing masks with square kernels, configured in metres (docs/conventions.md)."""
+"""Dilation and closing of masks with square kernels, configured in metres (docs/conventions.md)."""
 
 from collections.abc import Callable
 
@@ -9,18 +9,18 @@ from jaxtyping import Bool, Float32
 from imagination.utils.errors import UserError, check_range
 
 Layers = Bool[np.ndarray, "*b h w"] | Float32[np.ndarray, "*b h w"]
-"""Masks, or scores from 0 up: of which a square takes the largest or smallest, so that they commute with thresholds."""
+"""Masks, or scores >= 0: grey-scale morphology (maximum and minimum filters), which commutes with thresholding."""
 
 
 def kernel_cells(size: float, resolution: float) -> int:
-    """Cells a side of a kernel: round(size / resolution), at least 1. The only place where kernels become cells.
+    """Return the side of a kernel in cells: round(size / resolution), at least 1. Kernels become cells only here.
 
     Args:
-        size: side of the square, metres.
+        size: side of the kernel, metres.
         resolution: side of a cell, metres.
 
     Raises:
-        UserError: if either is out of range.
+        UserError: if an argument is out of range.
 
     >>> kernel_cells(0.6, 0.02), kernel_cells(1.0, 0.02), kernel_cells(0.62, 0.02), kernel_cells(0.62, 0.06)
     (30, 50, 31, 10)
@@ -30,13 +30,13 @@ def kernel_cells(size: float, resolution: float) -> int:
 
 
 def dilate(mask: Layers, kernel: int) -> Layers:
-    """Grow each True cell to the square that covers the offsets -((kernel - 1) // 2) to kernel // 2 from it.
+    """Dilate by a square that covers the offsets -((kernel - 1) // 2) to kernel // 2 from each True cell.
 
-    A square of an even side cannot be centred: it reaches one cell further down and right (OpenCV's anchor).
+    A square with an even side has no central cell: it extends one cell further down and right (OpenCV's anchor).
 
     Args:
-        mask: one map, or any number stacked in front.
-        kernel: cells a side of the square.
+        mask: one map, or several with leading axes.
+        kernel: side of the square, cells.
 
     Raises:
         UserError: if the kernel is smaller than one cell.
@@ -45,18 +45,18 @@ def dilate(mask: Layers, kernel: int) -> Layers:
     array([[0, 1, 1, 1, 1]])
     """
     square = _square(kernel)
-    return _each(mask, lambda cells: cv2.dilate(cells, square))
+    return _map_layers(mask, lambda cells: cv2.dilate(cells, square))
 
 
 def close(mask: Layers, kernel: int) -> Layers:
-    """Fill gaps narrower than the kernel: dilation, then erosion by the same offsets, so that no True cell is lost.
+    """Close gaps narrower than the kernel: dilate, then erode by the same offsets, so that no True cell is lost.
 
-    Cells outside the map are False, and growth beyond the rim is kept between the two steps: the result is what it
-    would be inside a larger empty map.
+    Cells outside the map are False, and dilation beyond the border is kept until the erosion: the result equals that
+    inside a larger empty map.
 
     Args:
-        mask: one map, or any number stacked in front.
-        kernel: cells a side of the square.
+        mask: one map, or several with leading axes.
+        kernel: side of the square, cells.
 
     Raises:
         UserError: if the kernel is smaller than one cell.
@@ -65,14 +65,14 @@ def close(mask: Layers, kernel: int) -> Layers:
     array([[1, 1, 1, 1, 0]])
     """
     square = _square(kernel)
-    before = (kernel - 1) // 2
+    anchor = (kernel - 1) // 2
 
     def close_one(cells: np.ndarray) -> np.ndarray:
         padded = cv2.copyMakeBorder(cells, kernel, kernel, kernel, kernel, cv2.BORDER_CONSTANT, value=0)
-        closed = cv2.erode(cv2.dilate(padded, square), square, anchor=(before, before))
+        closed = cv2.erode(cv2.dilate(padded, square), square, anchor=(anchor, anchor))
         return closed[kernel:-kernel, kernel:-kernel]
 
-    return _each(mask, close_one)
+    return _map_layers(mask, close_one)
 
 
 def _square(kernel: int) -> np.ndarray:
@@ -81,9 +81,9 @@ def _square(kernel: int) -> np.ndarray:
     return np.ones((kernel, kernel), np.uint8)
 
 
-def _each(mask: np.ndarray, change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Apply `change` to each map of the stack; OpenCV takes masks as uint8."""
+def _map_layers(mask: np.ndarray, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Apply a function to each map of a stack, masks as uint8 for OpenCV."""
     out = np.empty_like(mask)
     for index in np.ndindex(mask.shape[:-2]):
-        out[index] = change(mask[index].view(np.uint8) if mask.dtype == bool else mask[index])
+        out[index] = function(mask[index].view(np.uint8) if mask.dtype == bool else mask[index])
     return out

@@ -1,9 +1,9 @@
-"""Depth images drawn into maps: what is occupied, what is seen, where each category lies (docs/conventions.md).
+"""Projection of depth images into maps: occupied cells, seen cells and cells of each category (docs/conventions.md).
 
-A return at pixel centre (u + 0.5, v + 0.5) with depth d lies in the map at (row, column, height) = d * rays @ (u + 0.5,
-v + 0.5, 1) + offset, with rows and columns in cells (whole numbers are centres of cells) and the height in metres above
-the floor: one affine map for egocentric and global grids alike. Coordinates are computed in float64, so that returns do
-not change cells with the place of the map's origin.
+The depth return d at pixel centre (u + 0.5, v + 0.5) has the map coordinates
+(row, column, height) = d * rays @ (u + 0.5, v + 0.5, 1) + offset, with rows and columns in cells (integers are cell
+centres) and the height above the floor in metres. This affine map serves egocentric and global grids. Coordinates are
+computed in float64, so that the cell of a return does not depend on the origin of the map.
 """
 
 from typing import NamedTuple
@@ -18,18 +18,18 @@ from imagination.utils.jit import compiled
 
 
 class Band(NamedTuple):
-    """Heights above the floor, both ends included, metres."""
+    """Interval of heights above the floor, both ends included, metres."""
 
     low: float
     high: float
 
 
 class EgoView(NamedTuple):
-    """What one depth image tells about the cells around the robot.
+    """Egocentric maps of one depth image.
 
     Attributes:
-        occupied: cells with a return inside the band of obstacles.
-        seen: V_seen, the cells that the image observes.
+        occupied: cells with a depth return inside the obstacle band.
+        seen: V_seen, the observed cells.
     """
 
     occupied: Bool[np.ndarray, "v v"]
@@ -37,30 +37,30 @@ class EgoView(NamedTuple):
 
 
 class _Placement(NamedTuple):
-    """The affine map from pixels and depth to (row, column, height); see the module's docstring."""
+    """Affine map from pixels and depth to (row, column, height); see the module docstring."""
 
     rays: Float64[np.ndarray, "3 3"]
     offset: Float64[np.ndarray, "3"]
 
 
 def validate_depth(depth: np.ndarray, camera: Camera) -> None:
-    """Refuse what is not a depth image of the camera.
+    """Check that an array is a depth image of the camera.
 
     Raises:
-        UserError: on the wrong shape or type, NaN, infinity or negative depth.
+        UserError: if the shape or type is wrong, or a value is NaN, infinite or negative.
     """
     if depth.shape != (camera.height, camera.width):
         raise UserError(
-            f"depth: got shape {depth.shape}, expected {(camera.height, camera.width)} as the camera has"
+            f"depth: got shape {depth.shape}, expected {(camera.height, camera.width)}, the size of the camera image"
         )
     if depth.dtype != np.float32:
-        raise UserError(f"depth: got {depth.dtype}, expected float32 metres; convert it before")
+        raise UserError(f"depth: got {depth.dtype}, expected float32 (metres); convert the array")
     low, high = depth.min(), depth.max()
-    if not (low >= 0 and high < np.inf):  # NaN compares false, so it is refused too
-        bad = depth[~((depth >= 0) & (depth < np.inf))]
+    if not (low >= 0 and high < np.inf):  # also refuses NaN, which compares false
+        invalid = depth[~((depth >= 0) & (depth < np.inf))]
         raise UserError(
-            f"depth: got {bad[0]} in {bad.size} of {depth.size} pixels, expected finite metres, "
-            "0 where nothing returned; replace NaN, infinity and negative numbers by 0"
+            f"depth: got {invalid[0]} in {invalid.size} of {depth.size} pixels, expected finite metres, "
+            "0 where there is no return; replace NaN, infinity and negative values by 0"
         )
 
 
@@ -71,22 +71,22 @@ def project_depth(
     obstacles: Band,
     max_range: float = np.inf,
 ) -> EgoView:
-    """Egocentric occupancy and V_seen of one depth image.
+    """Project one depth image into egocentric maps of occupied and seen cells (V_seen).
 
-    A cell is occupied if a return between `obstacles.low` and `obstacles.high` lies in it. It is seen if any return
-    up to `obstacles.high` lies in it, or if it lies between two vertically adjacent returns of one image column that
-    are both floor, that is below `obstacles.low`. An image column is as wide as a pixel, so the floor in view has no
-    gaps at any image resolution. A ray that passes above a cell does not see it.
+    A cell is occupied if it contains a depth return between `obstacles.low` and `obstacles.high`. A cell is seen if it
+    contains a return up to `obstacles.high`, or if it is between two vertically adjacent returns of one image column
+    that are both floor (below `obstacles.low`). An image column is one pixel wide, so the visible floor has no gaps at
+    any image resolution. A ray that passes above a cell does not observe it.
 
     Args:
-        depth: metres along the optical axis, 0 where nothing returned.
-        camera: that took the image.
-        grid: of the result.
-        obstacles: heights that count as occupied.
-        max_range: returns deeper than this many metres are left out.
+        depth: depth along the optical axis, metres; 0 where there is no return.
+        camera: camera of the image.
+        grid: grid of the result.
+        obstacles: heights of obstacles.
+        max_range: maximum depth of the returns, metres.
 
     Raises:
-        UserError: on bad depth or a band or range out of order.
+        UserError: if the depth, the band or the range is invalid.
     """
     validate_depth(depth, camera)
     _check_limits(obstacles, max_range)
@@ -105,19 +105,19 @@ def project_categories(
     band: Band,
     max_range: float = np.inf,
 ) -> Bool[np.ndarray, "{count} v v"]:
-    """Egocentric cells in which a return of each category lies.
+    """Project a segmented depth image into one egocentric map of each category.
 
     Args:
-        depth: metres along the optical axis, 0 where nothing returned.
-        categories: 0 none, k the category of layer k - 1.
-        camera: that took the image.
-        grid: of the result.
-        count: categories there are.
-        band: heights that count.
-        max_range: returns deeper than this many metres are left out.
+        depth: depth along the optical axis, metres; 0 where there is no return.
+        categories: category of each pixel; 0 is background, k belongs to layer k - 1.
+        camera: camera of the image.
+        grid: grid of the result.
+        count: number of categories.
+        band: heights of the returns that are projected.
+        max_range: maximum depth of the returns, metres.
 
     Raises:
-        UserError: on bad depth, a category above `count`, or a band or range out of order.
+        UserError: if the depth, a category, the band or the range is invalid.
     """
     validate_depth(depth, camera)
     _check_limits(band, max_range)
@@ -143,21 +143,21 @@ def splat(
     max_range: float = np.inf,
     select: Bool[np.ndarray, "h w"] | None = None,
 ) -> None:
-    """Mark in `out` the global cells in which a return lies, for a camera in any pose; cells already marked stay so.
+    """Project one depth image into the global map `out`, in place, for a camera in any pose; marked cells stay marked.
 
     Args:
-        depth: metres along the optical axis, 0 where nothing returned.
-        camera: that took the image.
-        camera_to_world: transform from the optical frame to the world's.
+        depth: depth along the optical axis, metres; 0 where there is no return.
+        camera: camera of the image.
+        camera_to_world: transform from the optical frame to the world frame.
         floor_height: world z of the floor, metres; `band` is measured from it.
-        band: heights above the floor that count.
-        grid: of `out`.
-        out: changed in place.
-        max_range: returns deeper than this many metres are left out.
-        select: pixels that count; all if None.
+        band: heights above the floor of the returns that are projected.
+        grid: grid of `out`.
+        out: map that is changed in place.
+        max_range: maximum depth of the returns, metres.
+        select: mask of the pixels that are projected; all if None.
 
     Raises:
-        UserError: on bad depth, a pose that is not finite, wrong shapes, or a band or range out of order.
+        UserError: if the depth, the pose, a shape, the band or the range is invalid.
     """
     validate_depth(depth, camera)
     _check_limits(band, max_range)
@@ -180,12 +180,12 @@ def splat(
 
 def _check_limits(band: Band, max_range: float) -> None:
     if not band.low < band.high:
-        raise UserError(f"band: got {band.low} to {band.high} m, expected the lower height first")
+        raise UserError(f"band: got {band.low} to {band.high} m, expected low < high")
     check_range("max_range", max_range, 0.0, np.inf, "m", open_low=True)
 
 
 def _robot_to_cells(grid: EgoGrid) -> Float64[np.ndarray, "3 4"]:
-    """(row, column, height) of points in the robot's frame; as EgoGrid.to_cells."""
+    """Return the affine map from the robot frame to (row, column, height), as in `EgoGrid.to_cells`."""
     scale = -1 / grid.resolution
     return np.array(
         [[scale, 0.0, 0.0, grid.cells - 1], [0.0, scale, 0.0, grid.cells // 2], [0.0, 0.0, 1.0, 0.0]]
@@ -195,6 +195,7 @@ def _robot_to_cells(grid: EgoGrid) -> Float64[np.ndarray, "3 4"]:
 def _place(
     camera: Camera, camera_to_frame: Float64[np.ndarray, "4 4"], frame_to_cells: Float64[np.ndarray, "3 4"]
 ) -> _Placement:
+    """Return the affine map from pixels and depth to (row, column, height) for one camera pose."""
     focal, (centre_x, centre_y) = camera.focal_length, camera.principal_point
     pixels_to_rays = np.array(
         [[1 / focal, 0.0, -centre_x / focal], [0.0, 1 / focal, -centre_y / focal], [0.0, 0.0, 1.0]]
@@ -214,7 +215,7 @@ def _mark(
     max_range: float,
     out: Bool[np.ndarray, "c rows columns"],
 ) -> None:
-    """Mark the cell of each return inside the band, in the layer of its label; label 0 is left out."""
+    """Mark the cell of each return inside the band, in the layer of its label; skip label 0."""
     layers, rows, columns = out.shape
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
@@ -242,12 +243,12 @@ def _observe(
     occupied: Bool[np.ndarray, "v v"],
     seen: Bool[np.ndarray, "v v"],
 ) -> None:
-    """Mark occupied and seen cells, going down each image column with the floor return just above in hand."""
+    """Mark occupied and seen cells; scan each image column downwards and keep the floor return one pixel above."""
     cells = seen.shape[0]
-    # from a pixel's centre to its right edge, at depth 1
+    # offset from the centre of a pixel to its right edge, at depth 1
     half_row, half_column = rays[0, 0] / 2, rays[1, 0] / 2
     for u in range(depth.shape[1]):
-        # depth (0: none) and place of the floor return one pixel up
+        # depth (0 if there is none) and position of the floor return one pixel above
         above, row_above, column_above = 0.0, 0.0, 0.0
         for v in range(depth.shape[0]):
             d, x, y = depth[v, u], u + 0.5, v + 0.5
@@ -280,7 +281,7 @@ def _fill(
     rows: tuple[float, float, float, float],
     columns: tuple[float, float, float, float],
 ) -> None:
-    """Mark the cells of a convex quadrilateral: those it touches on the centre line of each row of cells."""
+    """Mark the cells that a convex quadrilateral touches on the centre line of each row of cells."""
     cells = seen.shape[0]
     first = max(np.ceil(min(rows)), 0.0)
     last = min(np.floor(max(rows)), cells - 1.0)

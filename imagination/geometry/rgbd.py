@@ -1,4 +1,4 @@
-"""Real RGB-D cameras: intrinsics, distortion and mounting."""
+"""Real RGB-D cameras: intrinsics, distortion and extrinsics."""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -13,14 +13,14 @@ from imagination.utils.errors import UserError, check_range
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole camera with distortion, as OpenCV and ROS state it: the **centre** of the first pixel is at (0, 0).
+    """Intrinsics of a pinhole camera with distortion, as in OpenCV and ROS: the first pixel's **centre** is at (0, 0).
 
     Attributes:
-        width, height: pixels.
-        fx, fy: focal lengths, pixels. A negative one, as some synthetic data sets have it, means that this axis of
-            the camera's frame runs against the image's.
+        width, height: image size, pixels.
+        fx, fy: focal lengths, pixels. A negative value, as in some synthetic data sets, means that this axis of the
+            camera frame is opposite to that of the image.
         cx, cy: principal point, pixels.
-        distortion: OpenCV's coefficients (ROS' plumb_bob and rational_polynomial), none if empty.
+        distortion: OpenCV's distortion coefficients (plumb_bob, rational_polynomial in ROS); empty if undistorted.
     """
 
     width: int
@@ -40,12 +40,12 @@ class Intrinsics:
         check_range("intrinsics.cy", self.cy, -self.height, 2 * self.height, "pixels")
         if len(self.distortion) not in (0, 4, 5, 8, 12, 14) or not np.isfinite(self.distortion).all():
             raise UserError(
-                f"intrinsics.distortion: got {self.distortion}, expected none or 4, 5, 8, 12 or 14 finite numbers"
+                f"intrinsics.distortion: got {self.distortion}, expected 0, 4, 5, 8, 12 or 14 finite numbers"
             )
 
     @classmethod
     def of(cls, camera: Camera) -> "Intrinsics":
-        """Those of an ideal camera, whose first pixel's centre is at (0.5, 0.5)."""
+        """Return the intrinsics of an ideal camera, whose first pixel's centre is at (0.5, 0.5)."""
         focal, (x, y) = camera.focal_length, camera.principal_point
         return cls(camera.width, camera.height, focal, focal, x - 0.5, y - 0.5)
 
@@ -55,7 +55,7 @@ class Intrinsics:
 
     @property
     def fields_of_view(self) -> tuple[float, float]:
-        """Horizontal and vertical, radians."""
+        """Horizontal and vertical field of view, radians."""
         axes = (self.fx, self.cx, self.width), (self.fy, self.cy, self.height)
         horizontal, vertical = (
             float(np.arctan((centre + 0.5) / abs(focal)) + np.arctan((size - 0.5 - centre) / abs(focal)))
@@ -64,25 +64,25 @@ class Intrinsics:
         return horizontal, vertical
 
     def scaled(self, factor: float) -> "Intrinsics":
-        """Those of the image brought to `factor` times its size."""
+        """Return the intrinsics of the image resized by `factor`."""
         width, height = round(self.width * factor), round(self.height * factor)
         x, y = width / self.width, height / self.height
-        middle = (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5
+        centre = (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5
         return replace(
-            self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=middle[0], cy=middle[1]
+            self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=centre[0], cy=centre[1]
         )
 
 
 @dataclass(frozen=True)
 class RgbdCamera:
-    """A robot's camera: colour and depth, and where it sits.
+    """RGB-D camera of a robot: intrinsics of colour and depth, and extrinsics.
 
     Attributes:
         colour: intrinsics of the colour image.
-        depth: of the depth image; None if depth is already registered to colour, pixel by pixel.
-        depth_to_colour: transform from the depth camera's optical frame to the colour camera's.
-        mount_height, pitch, roll: of the colour camera above the robot, as in `Camera`; not used where poses are the
-            camera's own, in six degrees of freedom.
+        depth: intrinsics of the depth image; None if depth is registered to colour pixel by pixel.
+        depth_to_colour: transform from the optical frame of the depth camera to that of the colour camera.
+        mount_height, pitch, roll: mounting of the colour camera on the robot, as in `Camera`; not used with camera
+            poses in six degrees of freedom.
     """
 
     colour: Intrinsics
@@ -97,7 +97,7 @@ class RgbdCamera:
 
     @classmethod
     def of(cls, camera: Camera) -> "RgbdCamera":
-        """An ideal camera as a robot's."""
+        """Return an ideal camera as an RGB-D camera."""
         mount = camera.mount_height, camera.pitch, camera.roll
         return cls(Intrinsics.of(camera), None, np.eye(4), *mount)
 
@@ -106,18 +106,18 @@ class RgbdCamera:
         return self.depth or self.colour
 
     def to_world(self, pose: Pose, floor_height: float = 0.0) -> Float64[np.ndarray, "4 4"]:
-        """Transform from the colour camera's optical frame to the world's, for the robot at `pose`."""
-        at = Camera(8, 8, 1.0, self.mount_height, self.pitch, self.roll)  # only where it sits matters
-        return at.to_world(pose, floor_height)
+        """Return the transform from the optical frame of the colour camera to the world frame for a robot at `pose`."""
+        mounting = Camera(8, 8, 1.0, self.mount_height, self.pitch, self.roll)  # the size is not used
+        return mounting.to_world(pose, floor_height)
 
 
 class Placement(NamedTuple):
-    """A camera's pose in six degrees of freedom, as the robot's planar pose and how the camera sits above it.
+    """Camera pose in six degrees of freedom as planar pose of the robot and mounting of the camera.
 
     Attributes:
-        pose: of the robot, under the optical centre, heading where the camera looks.
-        mount_height: metres above the floor.
-        pitch, roll: radians, as in `Camera`.
+        pose: pose of the robot, below the optical centre, with the heading of the camera.
+        mount_height: height of the optical centre above the floor, metres.
+        pitch, roll: pitch and roll angles as in `Camera`, radians.
     """
 
     pose: Pose
@@ -127,16 +127,16 @@ class Placement(NamedTuple):
 
     @classmethod
     def of(cls, camera_to_world: Float64[np.ndarray, "4 4"], floor_height: float = 0.0) -> "Placement":
-        """Take a transform from the optical frame to the world's apart.
+        """Decompose a transform from the optical frame to the world frame.
 
         Raises:
-            UserError: if it is no rigid transform.
+            UserError: if the transform is not rigid.
         """
         check_transform("camera_to_world", camera_to_world)
         right, ahead = camera_to_world[:3, 0], camera_to_world[:3, 2]
         heading = float(np.arctan2(ahead[1], ahead[0]))
         pitch = float(np.arcsin(np.clip(-ahead[2], -1.0, 1.0)))
-        # roll turns the image's x axis out of the horizontal, about the optical axis
+        # roll rotates the image's x axis out of the horizontal plane, about the optical axis
         level = np.array([np.sin(heading), -np.cos(heading), 0.0])
         roll = float(np.arctan2(np.cross(level, right) @ ahead, level @ right))
         x, y, z = camera_to_world[:3, 3].tolist()
@@ -144,15 +144,15 @@ class Placement(NamedTuple):
 
 
 def check_transform(name: str, transform: np.ndarray) -> None:
-    """Refuse what is no rigid transform.
+    """Check that a matrix is a rigid transform.
 
     Raises:
-        UserError: on a wrong shape, numbers that are not finite, or a rotation that is none.
+        UserError: if the shape is wrong, a number is not finite, or the rotation is not proper.
     """
     if transform.shape != (4, 4) or not np.isfinite(transform).all():
         raise UserError(f"{name}: got {transform.tolist()}, expected 4 x 4 finite numbers")
-    turn = transform[:3, :3]
-    if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
+    rotation = transform[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
         raise UserError(
-            f"{name}: got the rotation {turn.tolist()}, expected a proper one (no scale, no mirror)"
+            f"{name}: got the rotation {rotation.tolist()}, expected a proper rotation (no scale, no mirror)"
         )

@@ -23,14 +23,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class GroundTruthSpec:
-    """How ground-truth maps are made.
+    """Specification of the ground-truth maps.
 
     Attributes:
-        extent, resolution: side of the map and of its cells, metres.
-        spacing: between the points that look around, metres.
-        dilation: side of the square that M_seg is dilated with, metres.
-        obstacles: heights above the floor whose returns count as occupied.
-        camera: looks from the points; its field of view decides how many looks make 360 degrees.
+        extent: side of the map, metres.
+        resolution: side of a cell, metres.
+        spacing: distance between panorama points, metres.
+        dilation: side of the square kernel that dilates M_seg, metres.
+        obstacles: heights above the floor of obstacles (occupied cells).
+        camera: camera of the panoramas; its field of view sets the number of images for 360 degrees.
     """
 
     extent: float
@@ -46,15 +47,15 @@ class GroundTruthSpec:
 
 
 class GroundTruth(NamedTuple):
-    """The maps of one scene; layers in the category table's order.
+    """Ground-truth maps of one scene, with layers in the order of the category table.
 
     Attributes:
-        grid: of all maps, centred on the free space.
-        occupied: M_occu, cells in which a return lies between the obstacles' heights; walls and furniture alike.
-        label: M_label, cells whose centre lies in the box of an object of the category.
-        segmented: M_seg, cells in which a return of the category lies at any height, dilated.
-        truth: M_gt, the intersection.
-        points: world x, y of the points that looked around, metres.
+        grid: grid of all maps, centred on the free space.
+        occupied: M_occu, cells with a depth return within the obstacle heights, of walls and furniture alike.
+        label: M_label, cells whose centre is inside the box of an object of the category.
+        segmented: M_seg, cells with a depth return of the category at any height, dilated.
+        truth: M_gt, the intersection of the three maps.
+        points: world x, y of the panorama points, metres.
     """
 
     grid: Grid
@@ -65,13 +66,13 @@ class GroundTruth(NamedTuple):
     points: Float[np.ndarray, "n 2"]
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Everything as arrays, for files."""
-        frame = np.array([self.grid.resolution, *self.grid.origin])
-        return {"resolution_and_origin": frame, **{name: getattr(self, name) for name in self._fields[1:]}}
+        """Return all fields as arrays, for files."""
+        geometry = np.array([self.grid.resolution, *self.grid.origin])
+        return {"resolution_and_origin": geometry, **{name: getattr(self, name) for name in self._fields[1:]}}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "GroundTruth":
-        """What `to_arrays` gave."""
+        """Restore the maps from the arrays of `to_arrays`."""
         resolution, x, y = arrays["resolution_and_origin"].tolist()
         rows, columns = arrays["occupied"].shape
         return cls(Grid(resolution, rows, columns, (x, y)), *(arrays[name] for name in cls._fields[1:]))
@@ -80,18 +81,19 @@ class GroundTruth(NamedTuple):
 def build(
     scene: Scene, renderer: SceneRenderer, spec: GroundTruthSpec, categories: CategoryTable
 ) -> GroundTruth:
-    """Make the maps of a scene, for all categories of the table.
+    """Build the ground-truth maps of a scene for all categories of the table.
 
-    Warns about every object of a category that has no cell in M_gt: nothing of it was seen at the obstacles' heights.
+    Logs a warning for the objects of a category without a cell in M_gt, which no panorama sees within the obstacle
+    heights.
 
     Args:
-        scene: with its free space, where the looks are taken.
-        renderer: of the scene's mesh.
-        spec: how.
-        categories: one layer each.
+        scene: scene with its free space, from which the panoramas are rendered.
+        renderer: renderer of the scene.
+        spec: specification of the maps.
+        categories: category table, one layer for each category.
 
     Raises:
-        UserError: if the scene is larger than the map, or its mesh and its list of objects do not belong together.
+        UserError: if the scene is larger than the map, or its mesh and its list of objects do not match.
     """
     _check_instances(scene)
     points = panorama_points(scene.free_space, spec.spacing)
@@ -103,55 +105,56 @@ def build(
             window, inside = box_cells(obj.box, grid)
             label[layer][window] |= inside
     segmented = dilate(returns, kernel_cells(spec.dilation, spec.resolution))
-    truth = occupied & label & segmented
-    _warn_of_lost(scene, grid, categories.names, truth)
-    return GroundTruth(grid, occupied, label, segmented, truth, points)
+    gt = occupied & label & segmented
+    _warn_of_missing(scene, grid, categories.names, gt)
+    return GroundTruth(grid, occupied, label, segmented, gt, points)
 
 
 def panorama_points(free: FreeSpace, spacing: float) -> Float[np.ndarray, "n 2"]:
-    """World x, y of the points that look around: one in each square of side `spacing` that holds free space.
+    """Return the world x, y of the panorama points: one in each square of side `spacing` that contains free space.
 
-    It is the free cell nearest to the square's centre, so that narrow passages are looked into as well.
+    The point is the free cell nearest to the centre of the square, so that narrow passages have points as well.
     """
     cells = np.argwhere(free.mask)
-    places = free.grid.to_points(cells)
-    offset = (places - places.min(axis=0)) / spacing
+    positions = free.grid.to_points(cells)
+    offset = (positions - positions.min(axis=0)) / spacing
     square = np.floor(offset + 1e-6).astype(np.int64)
     distance = np.abs(offset - square - 0.5).max(axis=1)
     order = np.lexsort((distance, square[:, 1], square[:, 0]))
     _, first = np.unique(square[order], axis=0, return_index=True)
-    return places[order[first]]
+    return positions[order[first]]
 
 
 def needed_extent(scene: Scene) -> float:
-    """Side of the smallest map, centred on the free space, that holds all free space and all boxes, metres."""
+    """Return the smallest side of a map, centred on the free space, with all free space and boxes inside, metres."""
     centre, corners = _reach(scene)
     return float(2 * np.abs(corners - centre).max())
 
 
 def box_cells(box: OrientedBox, grid: Grid) -> tuple[tuple[slice, slice], Bool[np.ndarray, "a b"]]:
-    """The cells whose centre lies in a box seen from above: a window of the grid and which of its cells."""
+    """Return the cells whose centre is inside the footprint of a box: a window of the grid and a mask of its cells."""
     corners = np.clip(grid.to_cells(box.footprint()), 0, np.array(grid.shape) - 1)
     (top, left), (bottom, right) = corners.min(axis=0), corners.max(axis=0)
     window = slice(top, bottom + 1), slice(left, right + 1)
     rows, columns = np.ogrid[window]
     cells = np.stack(np.broadcast_arrays(rows, columns), axis=-1)
-    inside_box = Pose(*box.centre[:2], box.yaw).to_robot(grid.to_points(cells))
-    tolerance = 1e-6  # of centres that lie on an edge
-    return window, (np.abs(inside_box) <= np.array(box.size[:2]) / 2 + tolerance).all(axis=-1)
+    offset = Pose(*box.centre[:2], box.yaw).to_robot(grid.to_points(cells))
+    tolerance = 1e-6  # for centres on an edge
+    return window, (np.abs(offset) <= np.array(box.size[:2]) / 2 + tolerance).all(axis=-1)
 
 
 def _check_instances(scene: Scene) -> None:
+    """Check that `scene.objects` lists every instance of the mesh."""
     known = {0, *(obj.instance for obj in scene.objects)}
     if unknown := sorted(set(np.unique(scene.mesh.face_instance).tolist()) - known):
         raise UserError(
-            f"scene {scene.name}: its mesh has faces of the instances {unknown[:10]}, which scene.objects does not "
-            "list; list every object of the mesh (0 is the building)"
+            f"scene {scene.name}: got faces of the instances {unknown[:10]}, expected instances of scene.objects; "
+            "list every object of the mesh (0 is the building)"
         )
 
 
 def _grid_for(scene: Scene, spec: GroundTruthSpec) -> Grid:
-    """The map, centred on the free space; all free space and all boxes must lie in it."""
+    """Return the grid of the maps, centred on the free space; it must contain all free space and all boxes."""
     if (needed := needed_extent(scene)) >= spec.extent:
         raise UserError(
             f"scene {scene.name} is larger than the map: got ground_truth.extent {spec.extent} m, expected at least "
@@ -162,11 +165,11 @@ def _grid_for(scene: Scene, spec: GroundTruthSpec) -> Grid:
 
 
 def _reach(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "n 2"]]:
-    """The middle of the free space, and all places of it and corners of boxes: world x, y."""
+    """Return the centre of the free space, and all of its cells and the corners of boxes, as world x, y."""
     free = scene.free_space
-    places = free.grid.to_points(np.argwhere(free.mask))
-    centre = (places.min(axis=0) + places.max(axis=0)) / 2
-    return centre, np.concatenate([places, *(obj.box.footprint() for obj in scene.objects)])
+    positions = free.grid.to_points(np.argwhere(free.mask))
+    centre = (positions.min(axis=0) + positions.max(axis=0)) / 2
+    return centre, np.concatenate([positions, *(obj.box.footprint() for obj in scene.objects)])
 
 
 def _render_panoramas(
@@ -177,42 +180,44 @@ def _render_panoramas(
     grid: Grid,
     points: Float[np.ndarray, "n 2"],
 ) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "c h w"]]:
-    """M_occu, and the cells with returns of each category between floor and ceiling (M_seg before its dilation)."""
+    """Return M_occu and, for each category, the cells with depth returns up to the ceiling (M_seg before dilation)."""
     occupied = np.zeros(grid.shape, bool)
     returns = np.zeros((len(names), *grid.shape), bool)
     lookup = scene.category_of_instance(names)
-    room = Band(0.0, scene.ceiling_height - scene.floor_height)
+    full_height = Band(0.0, scene.ceiling_height - scene.floor_height)
     for pose in _panorama_poses(points, spec.camera):
         camera_to_world = spec.camera.to_world(pose, scene.floor_height)
         image = renderer.render(spec.camera, camera_to_world, colour=False)
-        frame = spec.camera, camera_to_world, scene.floor_height
-        splat(image.depth, *frame, spec.obstacles, grid, occupied)
+        view = spec.camera, camera_to_world, scene.floor_height
+        splat(image.depth, *view, spec.obstacles, grid, occupied)
         categories = lookup[np.maximum(image.instance, 0)]
         for index in np.unique(categories[categories > 0]):
-            splat(image.depth, *frame, room, grid, returns[index - 1], select=categories == index)
+            splat(image.depth, *view, full_height, grid, returns[index - 1], select=categories == index)
     return occupied, returns
 
 
 def _panorama_poses(points: Float[np.ndarray, "n 2"], camera: Camera) -> Iterator[Pose]:
-    """360 degrees around each point."""
+    """Yield the poses of a 360-degree panorama at each point."""
     count = int(np.ceil(2 * np.pi / camera.field_of_view - 1e-6))
     for x, y in points.tolist():
         for turn in range(count):
             yield Pose(x, y, 2 * np.pi * turn / count)
 
 
-def _warn_of_lost(scene: Scene, grid: Grid, names: Sequence[str], truth: Bool[np.ndarray, "c h w"]) -> None:
-    for name, layer in zip(names, truth, strict=True):
+def _warn_of_missing(scene: Scene, grid: Grid, names: Sequence[str], gt: Bool[np.ndarray, "c h w"]) -> None:
+    """Log a warning for the objects of each category without a cell in M_gt."""
+    for name, layer in zip(names, gt, strict=True):
         objects = scene.of_category(name)
-        lost = [str(obj.instance) for obj in objects if not _any_in(layer, obj, grid)]
-        if lost:
+        missing = [str(obj.instance) for obj in objects if not _has_cell(layer, obj, grid)]
+        if missing:
             log.warning(
-                f"scene {scene.name}: {len(lost)} of {len(objects)} objects of category {name} have no cell in the "
-                f"ground truth (instances {', '.join(lost)}): nothing of them was seen between the obstacles' "
+                f"scene {scene.name}: {len(missing)} of {len(objects)} objects of category {name} have no cell in the "
+                f"ground truth (instances {', '.join(missing)}): no panorama sees them within the obstacle "
                 "heights; `python -m imagination.render` draws every stage"
             )
 
 
-def _any_in(layer: Bool[np.ndarray, "h w"], obj: SceneObject, grid: Grid) -> bool:
+def _has_cell(layer: Bool[np.ndarray, "h w"], obj: SceneObject, grid: Grid) -> bool:
+    """Return whether a map has a cell inside the box of an object."""
     window, inside = box_cells(obj.box, grid)
     return bool((layer[window] & inside).any())

@@ -1,7 +1,7 @@
-"""Pictures of every stage of the ground truth, for checking by eye.
+"""Figures of every stage of the ground truth, for visual inspection.
 
-Maps are drawn in world coordinates with the objects' boxes and the points over them as vectors: what is mirrored or
-shifted does not fit its outline.
+Maps are drawn in world coordinates, with the objects' boxes and the panorama points as vector graphics on top: a
+mirrored or shifted map does not match the outlines.
 """
 
 from collections.abc import Sequence
@@ -21,22 +21,22 @@ from imagination.scenes.categories import CategoryTable
 from imagination.scenes.scene import Scene
 
 EMPTY, FREE, OCCUPIED = (255, 255, 255), (222, 236, 222), (150, 150, 150)
-"""Colours of cells, RGB, where no category lies."""
+"""RGB colours of cells without a category."""
 
 MARGIN = 0.5
-"""Of the map around the scene, metres."""
-SMALL = 0.35
-"""Longest side of objects whose names are left out, metres."""
+"""Margin of the map around the scene, metres."""
+MIN_NAMED_SIZE = 0.35
+"""Longest side up to which the names of objects are left out, metres."""
 
 
 class LabelledView(NamedTuple):
-    """One view and what becomes of it.
+    """One view with its maps and targets.
 
     Attributes:
-        pose: of the robot.
-        category: row of the table that the stages are drawn for.
-        rgb, depth, instance: the image.
-        occupied, seen: egocentric maps from depth.
+        pose: pose of the robot.
+        category: row of the category table whose targets are drawn.
+        rgb, depth, instance: rendered image.
+        occupied, seen: egocentric maps projected from depth.
         objects, imaginable, label, neighbourhood: V_object, V_filter, V_label and M*_seen of the category.
     """
 
@@ -54,48 +54,48 @@ class LabelledView(NamedTuple):
 
 
 def draw_scene(
-    scene: Scene, truth: GroundTruth, categories: CategoryTable, views: Sequence[LabelledView]
+    scene: Scene, ground_truth: GroundTruth, categories: CategoryTable, views: Sequence[LabelledView]
 ) -> Figure:
-    """Free space with the points that look around, M_occu, and M_gt of all categories with the views drawn below."""
+    """Draw the free space with the panorama points, M_occu, and M_gt of all categories with the poses of the views."""
     figure = _figure(13.0, 4.9)
-    free, occupied, all_truth = figure.subplots(1, 3)
+    free, occupied, gt_axes = figure.subplots(1, 3)
     _show_map(free, _paint(scene.free_space.mask, FREE), scene.free_space.grid, scene)
-    free.plot(*truth.points.T, ".", color="black", markersize=1.0)
+    free.plot(*ground_truth.points.T, ".", color="black", markersize=1.0)
     _name_objects(free, scene, 3.5)
-    free.set_title(f"free space and {len(truth.points)} points that look around", fontsize=9)
-    _show_map(occupied, _paint(truth.occupied, OCCUPIED), truth.grid, scene)
+    free.set_title(f"free space and {len(ground_truth.points)} panorama points", fontsize=9)
+    _show_map(occupied, _paint(ground_truth.occupied, OCCUPIED), ground_truth.grid, scene)
     occupied.set_title("M_occu", fontsize=9)
-    _show_truth(all_truth, scene, truth, categories)
-    all_truth.set_title("M_gt of " + ", ".join(categories.names), fontsize=9)
+    _draw_ground_truth(gt_axes, scene, ground_truth, categories)
+    gt_axes.set_title("M_gt of " + ", ".join(categories.names), fontsize=9)
     for number, view in enumerate(views, start=1):
         x, y, theta = view.pose
-        all_truth.annotate(
+        gt_axes.annotate(
             "", (x + 0.6 * np.cos(theta), y + 0.6 * np.sin(theta)), (x, y), arrowprops={"arrowstyle": "->"}
         )
         behind = x - 0.35 * np.cos(theta), y - 0.35 * np.sin(theta)
-        all_truth.text(*behind, str(number), fontsize=8, weight="bold", ha="center", va="center")
+        gt_axes.text(*behind, str(number), fontsize=8, weight="bold", ha="center", va="center")
     return figure
 
 
-def draw_category(scene: Scene, truth: GroundTruth, categories: CategoryTable, name: str) -> Figure:
-    """M_label, M_seg and M_gt of one category."""
+def draw_category(scene: Scene, ground_truth: GroundTruth, categories: CategoryTable, name: str) -> Figure:
+    """Draw M_label, M_seg and M_gt of one category."""
     layer, colour = categories.index(name) - 1, categories.rows[categories.index(name) - 1].colour
     figure = _figure(13.0, 4.9)
     stages = {
-        "M_label": truth.label,
-        "M_seg": truth.segmented,
-        "M_gt = M_occu & M_label & M_seg": truth.truth,
+        "M_label": ground_truth.label,
+        "M_seg": ground_truth.segmented,
+        "M_gt = M_occu & M_label & M_seg": ground_truth.truth,
     }
     for axes, (title, stage) in zip(figure.subplots(1, 3), stages.items(), strict=True):
-        image = _paint(truth.occupied, OCCUPIED)
+        image = _paint(ground_truth.occupied, OCCUPIED)
         image[stage[layer]] = colour
-        _show_map(axes, image, truth.grid, scene, name)
+        _show_map(axes, image, ground_truth.grid, scene, name)
         axes.set_title(f"{title}: {name}", fontsize=9)
     return figure
 
 
 def draw_views(views: Sequence[LabelledView], ego: EgoGrid) -> Figure:
-    """A row for each view: colour, depth, instances, and the egocentric projection of depth."""
+    """Draw one row for each view: colour, depth, instances, and the egocentric projection of depth."""
     figure = _figure(11.0, 2.8 * len(views))
     palette = np.random.default_rng(3).integers(60, 256, (4096, 3), dtype=np.uint8)
     palette[0] = 235  # the building
@@ -122,7 +122,7 @@ def draw_views(views: Sequence[LabelledView], ego: EgoGrid) -> Figure:
 
 
 def draw_labels(views: Sequence[LabelledView], ego: EgoGrid, categories: CategoryTable) -> Figure:
-    """A row for each view: V_object, V_object * V_seen, V_filter, V_label and M*_seen over the seen area."""
+    """Draw one row for each view: V_object, V_object * V_seen, V_filter, V_label and M*_seen over the seen area."""
     figure = _figure(13.0, 2.9 * len(views))
     for number, (row, view) in enumerate(
         zip(figure.subplots(len(views), 5, squeeze=False), views, strict=True), 1
@@ -157,50 +157,52 @@ def _paint(mask: Bool[np.ndarray, "h w"], colour: tuple[int, int, int]) -> UInt8
 def _show_map(
     axes: Axes, image: UInt8[np.ndarray, "h w 3"], grid: Grid, scene: Scene, category: str | None = None
 ) -> None:
-    """A global map in world coordinates, with the boxes of one category (or of every object of any) as outlines."""
+    """Draw a global map in world coordinates, with outlines of the boxes of one category (of all if None)."""
     x, y = grid.origin
     extent = (x, x + grid.columns * grid.resolution, y, y + grid.rows * grid.resolution)
     axes.imshow(image, extent=extent, interpolation="nearest")
     for obj in scene.objects:
         if obj.category is not None and category in (None, obj.category):
             axes.add_patch(Polygon(obj.box.footprint(), fill=False, linewidth=0.6))
-    low, high = _reach(scene)
+    low, high = _bounds(scene)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m", ylabel="y, m")
 
 
-def show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: CategoryTable) -> None:
-    """M_gt of all categories over M_occu, with the names of the objects."""
-    _show_truth(axes, scene, truth, categories)
+def show_ground_truth(axes: Axes, scene: Scene, ground_truth: GroundTruth, categories: CategoryTable) -> None:
+    """Draw M_gt of all categories over M_occu, with the names of the objects."""
+    _draw_ground_truth(axes, scene, ground_truth, categories)
     _name_objects(axes, scene, 5.0)
 
 
-def _show_truth(axes: Axes, scene: Scene, truth: GroundTruth, categories: CategoryTable) -> None:
-    image = _paint(truth.occupied, OCCUPIED)
-    for row, layer in zip(categories, truth.truth, strict=True):
+def _draw_ground_truth(
+    axes: Axes, scene: Scene, ground_truth: GroundTruth, categories: CategoryTable
+) -> None:
+    image = _paint(ground_truth.occupied, OCCUPIED)
+    for row, layer in zip(categories, ground_truth.truth, strict=True):
         image[layer] = row.colour
-    _show_map(axes, image, truth.grid, scene)
+    _show_map(axes, image, ground_truth.grid, scene)
 
 
-def _reach(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Smallest and largest x, y of what a map shows; a scene that brings its own renderer may have no mesh."""
-    places = scene.free_space.grid.to_points(np.argwhere(scene.free_space.mask))
+def _bounds(scene: Scene) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Return the smallest and largest x, y of a map; the mesh may be empty if the scene has its own renderer."""
+    positions = scene.free_space.grid.to_points(np.argwhere(scene.free_space.mask))
     boxes = [obj.box.footprint() for obj in scene.objects]
-    every = np.concatenate([places, *boxes, scene.mesh.vertices[:, :2]])
-    return every.min(axis=0) - MARGIN, every.max(axis=0) + MARGIN
+    points = np.concatenate([positions, *boxes, scene.mesh.vertices[:, :2]])
+    return points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
 
 
-def _name_objects(axes: Axes, scene: Scene, points: float) -> None:
-    """The label of every object that is not small, at its middle, in letters of so many points."""
+def _name_objects(axes: Axes, scene: Scene, font_size: float) -> None:
+    """Write the label of every object larger than MIN_NAMED_SIZE at its centre."""
     for obj in scene.objects:
-        if max(obj.box.size[:2]) > SMALL:
+        if max(obj.box.size[:2]) > MIN_NAMED_SIZE:
             x, y, _ = obj.box.centre
             axes.text(
-                x, y, obj.label.replace("_", "\n"), fontsize=points, ha="center", va="center", clip_on=True
+                x, y, obj.label.replace("_", "\n"), fontsize=font_size, ha="center", va="center", clip_on=True
             )
 
 
 def _show_ego(axes: Axes, image: UInt8[np.ndarray, "v v 3"], ego: EgoGrid) -> None:
-    """An egocentric map, the robot at the bottom centre, with distances in metres."""
+    """Draw an egocentric map in metres, with the robot at the bottom centre."""
     half, cell = ego.cells * ego.resolution / 2, ego.resolution
     axes.imshow(image, extent=(-half, half, -cell / 2, ego.cells * cell - cell / 2), interpolation="nearest")
     axes.plot(0, 0, marker="^", color="black", markersize=5, clip_on=False)

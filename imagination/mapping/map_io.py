@@ -1,7 +1,7 @@
-"""Map files: ROS' map_server format, semantic.npz, a coloured picture and GeoJSON; each with its reader.
+"""Readers and writers of map files: ROS' map_server format, semantic.npz, a coloured picture and GeoJSON.
 
-`map.yaml` and `map.pgm` hold occupancy as nav2 loads it, `<category>.yaml` and `.pgm` a category's probability in
-percent (mode raw). What nav2 does with `negate`, thresholds and modes is that of its map_server (navigation2,
+`map.yaml` and `map.pgm` hold occupancy in nav2's format, `<category>.yaml` and `.pgm` the probability of a category in
+percent (mode raw). `negate`, thresholds and modes have the meaning of nav2's map_server (navigation2,
 nav2_map_server/src/map_io.cpp).
 """
 
@@ -19,40 +19,40 @@ from jaxtyping import Bool, Float64
 from imagination.geometry.grid import MAX_CELLS, Grid
 from imagination.mapping.semantic_map import FREE, OCCUPIED, UNKNOWN, Layer, MapObject, Maps
 from imagination.mapping.visualization import draw_map
-from imagination.utils.atomic_io import replacing, write_text
+from imagination.utils.atomic_io import replacing, write_npz, write_text
 from imagination.utils.errors import UserError, check_choice, check_range
 from imagination.utils.image_decoding import decode
 from imagination.utils.tabular import read_yaml
 
 VERSION = 2
-"""Of semantic.npz."""
+"""Format version of semantic.npz."""
 
 SHADES = {FREE: 254, UNKNOWN: 205, OCCUPIED: 0}
-"""Grey values of occupancy, as nav2's map saver writes them."""
+"""Grey values of occupancy that nav2's map saver writes."""
 
 THRESHOLDS = {"occupied_thresh": 0.65, "free_thresh": 0.196}
-"""Between which a grey value is unknown; 205 lies between them."""
+"""Occupancy thresholds between which a cell is unknown, as is grey value 205."""
 
 SEMANTIC, PICTURE, OBJECTS = "semantic.npz", "map.png", "objects.geojson"
 
 
 class LoadedLayer(NamedTuple):
-    """A map_server map: its grid and what nav2 would make of it."""
+    """Map in map_server format: the grid and the occupancy layer that nav2 would load."""
 
     grid: Grid
     layer: Layer
 
 
 def save_maps(folder: Path, maps: Maps, colours: Sequence[tuple[int, int, int]]) -> None:
-    """Write everything into a folder, each file whole or not at all.
+    """Write all map files into a folder, each of them atomically.
 
     Args:
-        folder: made if it is not there.
-        maps: to write.
-        colours: of the categories, RGB.
+        folder: output folder, created if it does not exist.
+        maps: semantic map.
+        colours: RGB colours of the categories.
 
     Raises:
-        UserError: if the disk is full or may not be written.
+        UserError: if the disk is full or the folder is not writable.
     """
     save_layer(folder / "map.yaml", maps.grid, maps.occupancy_layer(), "trinary")
     for category in maps.categories:
@@ -65,17 +65,17 @@ def save_maps(folder: Path, maps: Maps, colours: Sequence[tuple[int, int, int]])
 
 
 def save_layer(path: Path, grid: Grid, layer: Layer, mode: str) -> None:
-    """Write one layer in map_server's format: `path`, a .yaml file, and a .pgm image beside it.
+    """Write one layer in map_server format: the .yaml file `path` and a .pgm image in the same folder.
 
     Args:
-        path: of the YAML file.
-        grid: of the layer.
-        layer: percent, -1 where nothing is known.
-        mode: trinary, for free, occupied and unknown alone, or raw, for percent.
+        path: path of the YAML file.
+        grid: grid of the layer.
+        layer: percent, -1 for unknown cells.
+        mode: trinary (only free, occupied and unknown) or raw (percent).
     """
     check_choice("mode", mode, ("raw", "trinary"))
     if mode == "raw":
-        image = layer.view(np.uint8)  # -1 becomes 255, which is unknown
+        image = layer.view(np.uint8)  # -1 becomes 255 (unknown)
     else:
         image = np.select(
             [layer == OCCUPIED, layer == FREE], [SHADES[OCCUPIED], SHADES[FREE]], SHADES[UNKNOWN]
@@ -94,10 +94,10 @@ def save_layer(path: Path, grid: Grid, layer: Layer, mode: str) -> None:
 
 
 def load_layer(path: str | Path) -> LoadedLayer:
-    """Read a map_server map, ours or another robot's, as nav2 reads it.
+    """Read a map in map_server format with nav2's rules, also one of another robot.
 
     Raises:
-        UserError: if a file is missing or broken, a value is missing or out of range, or the origin is turned.
+        UserError: if a file is missing or damaged, a value is missing or out of range, or the origin is rotated.
     """
     path = Path(path)
     values = read_yaml(path, "the keys of map_server's format")
@@ -109,10 +109,10 @@ def load_layer(path: str | Path) -> LoadedLayer:
         x, y, yaw = (float(value) for value in values["origin"])
     except KeyError as error:
         raise UserError(
-            f"{path}: has no {error}, expected image, resolution, origin, negate and both thresholds"
+            f"{path}: key {error} is missing, expected image, resolution, origin, negate and both thresholds"
         ) from error
     except (TypeError, ValueError, OverflowError) as error:
-        raise UserError(f"{path}: holds a value that cannot be read ({error})") from error
+        raise UserError(f"{path}: a value cannot be read ({error})") from error
     check_range(f"{path}: resolution", resolution, 0.005, 1.0, "m")
     if not 0 <= low < high <= 1:
         raise UserError(
@@ -120,7 +120,7 @@ def load_layer(path: str | Path) -> LoadedLayer:
         )
     if not np.isfinite([x, y]).all() or abs(yaw) > 1e-9:
         raise UserError(
-            f"{path}: got origin [{x}, {y}, {yaw}], expected finite metres and no rotation; turn the image instead"
+            f"{path}: got origin [{x}, {y}, {yaw}], expected finite metres and no rotation; rotate the image instead"
         )
     shade, opaque = _read_shades(image_path, mode)
     rows, columns = shade.shape
@@ -130,10 +130,10 @@ def load_layer(path: str | Path) -> LoadedLayer:
 
 
 def load_maps(folder: str | Path) -> Maps:
-    """Read the maps of a folder (its semantic.npz) as they were saved.
+    """Read the semantic map of a folder from its semantic.npz.
 
     Raises:
-        UserError: if the file is missing, broken or of another version.
+        UserError: if the file is missing, damaged or of another version.
     """
     path = Path(folder) / SEMANTIC
     try:
@@ -157,30 +157,29 @@ def load_maps(folder: str | Path) -> Maps:
         raise UserError(f"{path}: there is no such file") from error
     except UserError:
         raise
-    except Exception as error:  # zip, zlib and NumPy raise anything on a damaged file
+    except Exception as error:  # zip, zlib and NumPy raise many types on a damaged file
         raise UserError(f"{path}: cannot be read ({error}); save the map again") from error
 
 
 def save_semantic(path: Path, maps: Maps) -> None:
-    """Write all layers with frame, origin, resolution, categories, their thresholds and a version."""
-    with replacing(path) as temporary:
-        np.savez_compressed(
-            temporary,
-            version=VERSION,
-            frame=maps.frame,
-            origin=np.array(maps.grid.origin),
-            resolution=maps.grid.resolution,
-            categories=np.array(maps.categories),
-            thresholds=np.array(maps.thresholds),
-            probabilities=maps.probabilities,
-            written=maps.written,
-            occupancy=maps.occupancy,
-            known=maps.known,
-        )
+    """Write all layers with frame, origin, resolution, categories, thresholds and format version."""
+    arrays = {
+        "version": VERSION,
+        "frame": maps.frame,
+        "origin": np.array(maps.grid.origin),
+        "resolution": maps.grid.resolution,
+        "categories": np.array(maps.categories),
+        "thresholds": np.array(maps.thresholds),
+        "probabilities": maps.probabilities,
+        "written": maps.written,
+        "occupancy": maps.occupancy,
+        "known": maps.known,
+    }
+    write_npz(path, arrays)
 
 
 def to_geojson(objects: Sequence[MapObject], frame: str) -> dict[str, Any]:
-    """Objects as a GeoJSON FeatureCollection (RFC 7946), but in metres of the map's frame instead of degrees."""
+    """Return objects as a GeoJSON FeatureCollection (RFC 7946) in metres of the map's frame instead of degrees."""
 
     def ring(loop: np.ndarray) -> list[list[float]]:
         return [[round(x, 4), round(y, 4)] for x, y in [*loop.tolist(), loop[0].tolist()]]
@@ -188,14 +187,14 @@ def to_geojson(objects: Sequence[MapObject], frame: str) -> dict[str, Any]:
     features = [
         {
             "type": "Feature",
-            "geometry": {"type": "Polygon", "coordinates": [ring(found.outline), *map(ring, found.holes)]},
+            "geometry": {"type": "Polygon", "coordinates": [ring(obj.outline), *map(ring, obj.holes)]},
             "properties": {
-                "category": found.category,
-                "confidence": round(found.confidence, 4),
-                "area": round(found.area, 4),
+                "category": obj.category,
+                "confidence": round(obj.confidence, 4),
+                "area": round(obj.area, 4),
             },
         }
-        for found in objects
+        for obj in objects
     ]
     return {"type": "FeatureCollection", "frame": frame, "units": "m", "features": features}
 
@@ -204,25 +203,27 @@ def load_objects(path: str | Path) -> list[MapObject]:
     """Read objects.geojson.
 
     Raises:
-        UserError: if the file is missing or broken.
+        UserError: if the file is missing or damaged.
     """
     try:
-        found = []
+        objects = []
         for feature in json.loads(Path(path).read_text())["features"]:
             outline, *holes = (np.array(ring[:-1]) for ring in feature["geometry"]["coordinates"])
             values = feature["properties"]
-            found.append(MapObject(values["category"], outline, holes, values["confidence"], values["area"]))
+            objects.append(
+                MapObject(values["category"], outline, holes, values["confidence"], values["area"])
+            )
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from error
     except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise UserError(f"{path}: is no GeoJSON of objects ({error!r})") from error
-    return found
+        raise UserError(f"{path}: not a GeoJSON file of objects ({error!r}); save the map again") from error
+    return objects
 
 
-def fit(loaded: LoadedLayer, grid: Grid) -> Layer:
-    """A layer in a grid of another resolution or place, unknown where it does not reach.
+def resample_layer(loaded: LoadedLayer, grid: Grid) -> Layer:
+    """Resample a layer to a grid of another resolution or origin; cells outside the layer are unknown.
 
-    A cell takes the value at its centre; one in which the centre of an occupied cell lies is occupied, so that thin
+    A cell takes the value at its centre. A cell that contains the centre of an occupied cell is occupied, so that thin
     walls are not lost between the centres of coarser cells.
     """
     rows, columns = np.indices(grid.shape)
@@ -236,41 +237,41 @@ def fit(loaded: LoadedLayer, grid: Grid) -> Layer:
 
 
 def _encoded(suffix: str, image: np.ndarray) -> bytes:
-    done, data = cv2.imencode(suffix, image)
-    assert done, "OpenCV writes these formats"
+    success, data = cv2.imencode(suffix, image)
+    assert success, "OpenCV writes these formats"
     return data.tobytes()
 
 
 def _read_shades(path: Path, mode: str) -> tuple[Float64[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Brightness of each pixel, 0 to 1, and which pixels are opaque."""
+    """Read the brightness of each pixel, 0 to 1, and the mask of opaque pixels."""
     try:
         data = path.read_bytes()
-    except (OSError, ValueError) as error:  # a map may name any path, one with null bytes too
+    except (OSError, ValueError) as error:  # the path in a map file may be invalid, e.g. contain null bytes
         raise UserError(f"{path}: cannot be read ({getattr(error, 'strerror', error)})") from error
     try:
         image = decode(data, cv2.IMREAD_UNCHANGED, MAX_CELLS)
     except UserError as error:
-        raise UserError(f"{path}: {error}; save the map again, as PGM, PNG or BMP") from error
+        raise UserError(f"{path}: {error}; save the map again as PGM, PNG or BMP") from error
     if image.dtype not in (np.uint8, np.uint16):
         raise UserError(f"{path}: got pixels of {image.dtype}, expected 8 or 16 bits")
     try:
         full = float(_white(data, image.dtype))
-    except ValueError as error:  # of which UserError is one
+    except ValueError as error:  # includes UserError
         raise UserError(f"{path}: {error}") from error
     channels = image.reshape(*image.shape[:2], -1)
     colour = channels[..., :3] if channels.shape[2] >= 3 else channels[..., :1]
     opaque = channels[..., 3] == full if channels.shape[2] == 4 else np.ones(image.shape[:2], np.bool_)
     if mode == "trinary" and channels.shape[2] == 4:
-        colour = channels  # nav2 averages opacity in with the colours there
+        colour = channels  # nav2 averages the opacity with the colours in this mode
     return np.minimum(colour.mean(axis=2) / full, 1), opaque
 
 
 def _white(data: bytes, dtype: np.dtype[Any]) -> int:
-    """The value of white: PGM and PPM files name it, and OpenCV scales only those of 8 bits in ASCII."""
+    """Return the value of white: PGM and PPM headers hold it, and OpenCV rescales only ASCII files of 8 bits."""
     words = re.sub(rb"#[^\n]*", b" ", data[:4096]).split(maxsplit=4)
     if words[0] in (b"P5", b"P6") or (words[0] in (b"P2", b"P3") and dtype == np.uint16):
         if len(words) < 4:
-            raise UserError("its header has comments beyond 4096 bytes; shorten them")
+            raise UserError("header: got comments of more than 4096 bytes; shorten them")
         return int(words[3])
     return int(np.iinfo(dtype).max)
 
@@ -278,15 +279,15 @@ def _white(data: bytes, dtype: np.dtype[Any]) -> int:
 def _interpret(
     shade: np.ndarray, opaque: np.ndarray, mode: str, negate: bool, low: float, high: float
 ) -> Layer:
-    """What nav2 makes of brightness."""
+    """Convert brightness to occupancy with nav2's rules."""
     if mode == "raw":
         value = np.rint(shade * 255)
         return np.where(value <= OCCUPIED, value, UNKNOWN).astype(np.int8)
     occupied = shade if negate else 1 - shade
     if mode == "trinary":
-        between: Any = UNKNOWN
+        undecided: Any = UNKNOWN
     else:
-        between = np.where(opaque, np.rint((occupied - low) / (high - low) * 100), UNKNOWN)
+        undecided = np.where(opaque, np.rint((occupied - low) / (high - low) * 100), UNKNOWN)
     known = opaque | (mode == "trinary")
-    layer = np.select([known & (occupied > high), known & (occupied < low)], [OCCUPIED, FREE], between)
+    layer = np.select([known & (occupied > high), known & (occupied < low)], [OCCUPIED, FREE], undecided)
     return layer.astype(np.int8)

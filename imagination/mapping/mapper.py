@@ -1,4 +1,4 @@
-"""The mapper: egocentric views registered into a global map with known poses (docs/conventions.md)."""
+"""Registration of egocentric views into a global map with known poses (docs/conventions.md)."""
 
 import os
 from collections.abc import Sequence
@@ -15,29 +15,30 @@ from imagination.utils.errors import UserError
 from imagination.utils.jit import compiled
 
 BYTES_PER_CELL = 8
-"""A probability (float32) and the number of views that wrote the cell (int32), negative while it was only imagined."""
+"""Probability (float32) and number of views that wrote the cell (int32), negative while the cell was only imagined."""
 
 SAVING_BYTES_PER_CELL = 64
-"""Of the grid, whatever the layers: saving draws the map as a picture of floats, of which four are there at once."""
+"""Memory that saving needs per cell of the grid: the picture of the map is drawn with four float images at once."""
 
 CHUNK = 128
-"""Cells by which a map grows at a time."""
+"""Step in which a map is extended, cells."""
 
 
 class Mapper:
-    """A global map of probabilities, one layer for each category, that grows by registered views.
+    """Global map of probabilities, one layer per category, into which views are registered.
 
-    The first view that writes a cell is taken whole, and so is the first that sees one which was only imagined before:
-    by the rule alone, a wrong guess would outweigh what is seen afterwards (docs/conventions.md has the figures).
+    The first view that writes a cell sets its value, and so does the first view that observes a cell which was only
+    imagined before: with the rule alone, a wrong prediction would outweigh later observations (docs/conventions.md has
+    the figures).
 
-    A view changes only the cells of its own window, pulled by inverse mapping (values bilinear, masks nearest), so
-    its cost depends on the egocentric map's size, never on the global map's.
+    A view changes only the cells of its window, which are sampled by inverse mapping (bilinear for values, nearest for
+    masks), so the cost depends on the size of the egocentric map and not on that of the global map.
 
     Args:
-        grid: of the global map.
-        ego: grid of the views; of the same resolution.
+        grid: grid of the global map.
+        ego: grid of the views, of the same resolution.
         categories: names of the layers.
-        rule: what becomes of cells that were written before.
+        rule: update rule for cells that were written before.
 
     Raises:
         UserError: if the resolutions differ, there is no category, or the map is too large.
@@ -64,29 +65,29 @@ class Mapper:
             )
         _check_size(len(categories), grid)
         self.grid, self.ego, self.categories, self.rule = grid, ego, list(categories), rule
-        side = int(np.ceil(np.sqrt(2) * ego.cells)) + 1  # of the window of a view turned by 45 degrees
-        most = len(categories) * side * side
+        side = int(np.ceil(np.sqrt(2) * ego.cells)) + 1  # window of a view rotated by 45 degrees
+        max_cells = len(categories) * side * side
         self._touched = (
-            np.empty(most, np.int64),  # flat index of each cell that a view touches
-            np.empty(most, np.float32),  # its value in the view
-            np.empty(most, np.float32),  # its value in the map
-            np.empty(most, np.int32),  # its count, see BYTES_PER_CELL
-            np.empty(most, np.bool_),  # the view imagines it, without seeing it
+            np.empty(max_cells, np.int64),  # flat indices of the cells that a view writes
+            np.empty(max_cells, np.float32),  # values in the view
+            np.empty(max_cells, np.float32),  # values in the map
+            np.empty(max_cells, np.int32),  # counts, see BYTES_PER_CELL
+            np.empty(max_cells, np.bool_),  # imagined by the view without being observed
         )
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Clear the map."""
         self._probabilities, self._count = _blank(len(self.categories), self.grid)
 
     @property
     def probabilities(self) -> Float32[np.ndarray, "c h w"]:
-        """The map itself, not a copy; 0 where nothing was written."""
+        """Array of the map (not a copy); 0 in cells that no view has written."""
         return self._probabilities
 
     @property
     def written(self) -> Bool[np.ndarray, "c h w"]:
-        """Cells that a view has written."""
+        """Mask of the cells that a view has written."""
         written: np.ndarray = np.not_equal(self._count, 0)
         return written
 
@@ -97,17 +98,17 @@ class Mapper:
         pose: Pose,
         imagined: Bool[np.ndarray, "c v v"] | None = None,
     ) -> None:
-        """Let one view have its say.
+        """Fuse one view into the map.
 
         Args:
             values: probabilities, 0 to 1.
-            mask: cells about which the view has something to say; others stay as they are.
-            pose: of the robot, from which the view was taken.
-            imagined: cells that the view has not seen; None if it saw all of `mask`.
+            mask: cells that the view has evidence of; other cells do not change.
+            pose: pose of the robot when the view was taken.
+            imagined: cells that the view has not observed; None if it observed all of `mask`.
 
         Raises:
-            UserError: on wrong shapes or types, values that are not probabilities, or a pose that is not finite. The
-                map stays as it was.
+            UserError: if a shape or type is wrong, values are no probabilities, or the pose is not finite. The map does
+                not change.
         """
         imagined = np.zeros_like(mask) if imagined is None else imagined
         self._check(values, mask, imagined)
@@ -116,14 +117,14 @@ class Mapper:
         layers = self._probabilities.reshape(-1), self._count.reshape(-1)
         to_ego = cv2.invertAffineTransform(to_grid)
         n = _pull(values, mask, imagined, to_ego, window, self.grid.shape, *layers, *self._touched)
-        touched, new, old, count, guessed = (array[:n] for array in self._touched)
-        _push(*layers, touched, new, self.rule(old, new, np.abs(count)), guessed)
+        touched, new, old, count, unseen = (array[:n] for array in self._touched)
+        _push(*layers, touched, new, self.rule(old, new, np.abs(count)), unseen)
 
     def cover(self, pose: Pose) -> None:
-        """Let the map grow, by whole chunks, until it contains all that a view from `pose` may reach.
+        """Extend the map by whole chunks until it contains every cell that a view from `pose` may reach.
 
         Raises:
-            UserError: if it would be too large, or the pose is not finite. The map stays as it was.
+            UserError: if the map would be too large, or the pose is not finite. The map does not change.
         """
         low, high = _reach(ego_to_grid(self.ego, self.grid, pose), self.ego)
         top, left = (max(0, -int(np.floor(side / CHUNK)) * CHUNK) for side in low)
@@ -142,7 +143,7 @@ class Mapper:
         self.grid, self._probabilities, self._count = grid, probabilities, count
 
     def outside(self, mask: Bool[np.ndarray, "c v v"], pose: Pose) -> int:
-        """How many of a view's cells with something to say, counted once for all layers, lie outside the map."""
+        """Count the cells of a view's evidence, once for all layers, that are outside the map."""
         to_grid = ego_to_grid(self.ego, self.grid, pose)
         low, high = _reach(to_grid, self.ego)
         if (low >= 0).all() and (high < self.grid.shape).all():
@@ -151,10 +152,10 @@ class Mapper:
         return len(cells) - int(self.grid.inside(np.floor(cells + 0.5).astype(np.int64)).sum())
 
     def write(self, layer: int, values: Float32[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> None:
-        """Start a layer from values that are known already, as if one view had written them.
+        """Initialize a layer with known values, as if one view had written them.
 
         Raises:
-            UserError: if the arrays have another shape than the grid.
+            UserError: if the shape of an array differs from that of the grid.
         """
         if values.shape != self.grid.shape or known.shape != self.grid.shape:
             raise UserError(f"layer: got shapes {values.shape} and {known.shape}, expected {self.grid.shape}")
@@ -163,57 +164,57 @@ class Mapper:
 
     def _check(self, values: np.ndarray, mask: np.ndarray, imagined: np.ndarray) -> None:
         shape = len(self.categories), self.ego.cells, self.ego.cells
-        given = (("values", values, np.float32), ("mask", mask, np.bool_), ("imagined", imagined, np.bool_))
-        for name, array, dtype in given:
+        arrays = (("values", values, np.float32), ("mask", mask, np.bool_), ("imagined", imagined, np.bool_))
+        for name, array, dtype in arrays:
             if array.shape != shape or array.dtype != dtype:
-                wanted = np.dtype(dtype).name
+                expected = np.dtype(dtype).name
                 raise UserError(
-                    f"{name}: got {array.dtype} of shape {array.shape}, expected {wanted} of shape {shape}"
+                    f"{name}: got {array.dtype} of shape {array.shape}, expected {expected} of shape {shape}"
                 )
         low, high = values.min(), values.max()
         if not (low >= 0 and high <= 1):  # NaN compares false, so it is refused too
             raise UserError(
-                f"values: got {low} to {high}, expected probabilities, 0 to 1; apply the sigmoid before"
+                f"values: got {low} to {high}, expected probabilities in [0, 1]; apply the sigmoid first"
             )
 
 
 def physical_memory() -> int:
-    """Memory of this machine, bytes."""
+    """Return the physical memory of this machine, bytes."""
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def _blank(layers: int, grid: Grid) -> tuple[Float32[np.ndarray, "c h w"], Int32[np.ndarray, "c h w"]]:
-    """A map to which nothing was written: probabilities and counts."""
+    """Return the probabilities and counts of an empty map."""
     shape = layers, *grid.shape
     return np.zeros(shape, np.float32), np.zeros(shape, np.int32)
 
 
 def _check_size(layers: int, grid: Grid) -> None:
     needed = grid.rows * grid.columns * (layers * BYTES_PER_CELL + SAVING_BYTES_PER_CELL)
-    there = physical_memory()
+    available = physical_memory()
     if max(grid.shape) > MAX_CELLS:
         raise UserError(
             f"map: got {grid.rows} x {grid.columns} cells, expected at most {MAX_CELLS} a side; "
-            "check the poses, or choose a coarser resolution or a smaller extent"
+            "check the poses, or use a coarser resolution or a smaller extent"
         )
-    if needed > there:
+    if needed > available:
         raise UserError(
             f"map of {layers} x {grid.rows} x {grid.columns} cells: got {needed / 1e9:.1f} GB, expected "
-            f"at most this machine's {there / 1e9:.1f} GB; choose a coarser resolution or a smaller extent"
+            f"at most this machine's {available / 1e9:.1f} GB; use a coarser resolution or a smaller extent"
         )
 
 
 def _reach(
     to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid
 ) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
-    """Lowest and highest global row and column of cells whose centres a view may cover."""
+    """Return the lowest and highest global (row, column) of the cells whose centres a view may cover."""
     low, high = -0.5, ego.cells - 0.5
     corners = to_grid @ np.array([[low, low, high, high], [low, high, low, high], [1.0, 1.0, 1.0, 1.0]])
     return np.ceil(corners.min(axis=1)), np.floor(corners.max(axis=1))
 
 
 def _window(to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid, grid: Grid) -> tuple[int, int, int, int]:
-    """First and last row, first and last column of the global cells whose centres a view may cover."""
+    """Return first and last row, first and last column of the map's cells whose centres a view may cover."""
     low, high = _reach(to_grid, ego)
     first = np.clip(low, 0, grid.shape)
     last = np.clip(high, -1, np.array(grid.shape) - 1)
@@ -234,11 +235,12 @@ def _pull(
     new: Float32[np.ndarray, " n"],
     old: Float32[np.ndarray, " n"],
     count: Int32[np.ndarray, " n"],
-    guessed: Bool[np.ndarray, " n"],
+    unseen: Bool[np.ndarray, " n"],
 ) -> int:
-    """List the cells that the view touches: index, value in the view, in the map, count, unseen; returns how many.
+    """List the cells that a view writes (index, value in the view and in the map, count, unseen); return their number.
 
-    The mask comes from the nearest egocentric cell, the value from the four nearest; beyond the rim the rim goes on.
+    The mask is that of the nearest egocentric cell, the value is interpolated from the four nearest (edge values are
+    repeated beyond the border).
     """
     layers, last = values.shape[0], values.shape[1] - 1
     n = 0
@@ -252,17 +254,17 @@ def _pull(
             inside_r, inside_c = min(max(r, 0.0), float(last)), min(max(c, 0.0), float(last))
             up, left = int(inside_r), int(inside_c)
             down, right = min(up + 1, last), min(left + 1, last)
-            down_share, right_share = np.float32(inside_r - up), np.float32(inside_c - left)
+            down_weight, right_weight = np.float32(inside_r - up), np.float32(inside_c - left)
             for k in range(layers):
                 if mask[k, nearest_r, nearest_c]:
-                    upper = values[k, up, left] + right_share * (values[k, up, right] - values[k, up, left])
-                    lower = values[k, down, left] + right_share * (
+                    upper = values[k, up, left] + right_weight * (values[k, up, right] - values[k, up, left])
+                    lower = values[k, down, left] + right_weight * (
                         values[k, down, right] - values[k, down, left]
                     )
                     cell = (k * shape[0] + row) * shape[1] + column
                     touched[n], old[n], count[n] = cell, probabilities[cell], counts[cell]
-                    new[n] = upper + down_share * (lower - upper)
-                    guessed[n] = imagined[k, nearest_r, nearest_c]
+                    new[n] = upper + down_weight * (lower - upper)
+                    unseen[n] = imagined[k, nearest_r, nearest_c]
                     n += 1
     return n
 
@@ -274,13 +276,13 @@ def _push(
     touched: Int64[np.ndarray, " n"],
     new: Float32[np.ndarray, " n"],
     merged: Float32[np.ndarray, " n"],
-    guessed: Bool[np.ndarray, " n"],
+    unseen: Bool[np.ndarray, " n"],
 ) -> None:
-    """Write merged values, or new ones whole where nothing was written, or only imagined and now seen; count."""
+    """Write merged values (new values where the cell is first written or first observed) and update the counts."""
     for n in range(touched.size):
-        cell = np.uint64(touched[n])  # unsigned: numba need not look for indices from the end
+        cell = np.uint64(touched[n])  # unsigned: numba need not handle negative indices
         count = counts[cell]
-        first_sighting = not guessed[n] and count <= 0
+        first_sighting = not unseen[n] and count <= 0
         probabilities[cell] = new[n] if first_sighting or count == 0 else merged[n]
         if first_sighting:
             counts[cell] = 1

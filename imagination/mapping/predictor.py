@@ -1,4 +1,4 @@
-"""The imagination module as the mapper sees it: the units of all categories side by side, whatever runs them."""
+"""Runtime-independent interface of the mapper to trained units: predictors, specifications and view evidence."""
 
 import json
 import re
@@ -18,24 +18,24 @@ from imagination.ground_truth.targets import neighbourhood
 from imagination.utils.errors import UserError, check_range
 
 VERSION = 2
-"""Of the description in a unit's file."""
+"""Format version of the unit specification in a unit's file."""
 
 RESERVED = ("map", "objects", "occupancy")
-"""Names that no category may have: map files and topics of the map itself have them."""
+"""Names that no category may have because files and topics of the map use them."""
 
 
 @dataclass(frozen=True)
 class UnitSpec:
-    """What a unit was trained with; part of its file.
+    """Specification of a trained unit, stored in its file.
 
     Attributes:
-        categories: that it imagines, one map each.
-        colours: of the categories in pictures, RGB, 0 to 255.
-        thresholds: of the categories, probabilities from which a cell is of an object; what training chose on views of
-            validation homes, since a loss that weighs cells, as the paper's does, moves probabilities away from 0.5.
-        camera: whose images it takes.
-        ego: grid of its maps.
-        obstacles: heights that count as occupied.
+        categories: names of the categories, one predicted map each.
+        colours: RGB colours of the categories in pictures, 0 to 255.
+        thresholds: probability of each category from which a cell belongs to an object, selected by training on views
+            of validation scenes, because a loss that weights cells (as in the paper) moves probabilities away from 0.5.
+        camera: camera of the training images.
+        ego: grid of the egocentric maps.
+        obstacles: band of heights that count as occupied.
         valid_threshold, valid_kernel: tau_valid, and epsilon in metres, of M*_seen.
     """
 
@@ -51,16 +51,19 @@ class UnitSpec:
     def __post_init__(self) -> None:
         if not self.categories or len(set(self.categories)) < len(self.categories):
             raise UserError(
-                f"units: got the categories {list(self.categories)}, expected each once and at least one"
+                f"units: got the categories {list(self.categories)}, expected at least one and no repetition"
             )
-        for name in self.categories:  # they become names of files
+        for name in self.categories:  # used as file names
             if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name) or name in RESERVED:
                 raise UserError(
-                    f"units: got the category {name!r}, expected letters, digits, _ and -, not {', '.join(RESERVED)}"
+                    f"units: got the category {name!r}, expected letters, digits, _ and -, but not "
+                    f"{', '.join(RESERVED)}"
                 )
         for name in ("colours", "thresholds"):
             if (count := len(getattr(self, name))) != len(self.categories):
-                raise UserError(f"units: got {count} {name} for {len(self.categories)} categories")
+                raise UserError(
+                    f"units: got {count} {name}, expected {len(self.categories)}, one per category"
+                )
         for threshold in self.thresholds:
             check_range("thresholds", threshold, 0.0, 1.0, open_low=True)
         check_range("ego.resolution", self.ego.resolution, 0.005, 1.0, "m")
@@ -68,16 +71,18 @@ class UnitSpec:
         check_range("valid_threshold", self.valid_threshold, 0.0, 1.0)
         check_range("valid_kernel", self.valid_kernel, 0.0, 100.0, "m")
 
-    def to_json(self, **more: Any) -> str:
-        """The description as text, with further entries for people."""
-        return json.dumps({"version": VERSION, **asdict(self), "obstacles": self.obstacles._asdict(), **more})
+    def to_json(self, **extra: Any) -> str:
+        """Serialize the specification, with extra entries for human readers."""
+        return json.dumps(
+            {"version": VERSION, **asdict(self), "obstacles": self.obstacles._asdict(), **extra}
+        )
 
     @classmethod
     def from_json(cls, text: str, origin: str) -> "UnitSpec":
-        """Read a description.
+        """Parse a specification; unknown entries are ignored.
 
         Raises:
-            UserError: if it is none or of another version.
+            UserError: if the text is invalid or of another version.
         """
         try:
             values: Mapping[str, Any] = json.loads(text)
@@ -99,17 +104,17 @@ class UnitSpec:
             raise
         except (KeyError, TypeError, AttributeError, ValueError, OverflowError, RecursionError) as error:
             raise UserError(
-                f"{origin}: its description cannot be read ({error!r}); export it with imagination.export"
+                f"{origin}: the unit specification cannot be read ({error!r}); export it with imagination.export"
             ) from error
 
 
 class Observation(NamedTuple):
-    """What a unit is given: an image of the camera it was trained with, and the depth's projection.
+    """Input of a unit: an image of the training camera and the projection of its depth.
 
     Attributes:
         rgb, depth: colour, and metres along the optical axis (0: no return).
-        occupied, seen: the projection, as `project_depth` makes it.
-        mount_height: of the camera above the floor, metres.
+        occupied, seen: projection of the depth; see `project_depth`.
+        mount_height: height of the camera above the floor, metres.
     """
 
     rgb: UInt8[np.ndarray, "h w 3"]
@@ -120,37 +125,41 @@ class Observation(NamedTuple):
 
 
 @runtime_checkable
-class ImaginationModule(Protocol):
-    """Trained units, ready to be asked."""
+class MapPredictor(Protocol):
+    """Trained units that predict egocentric maps from an observation.
+
+    Attributes:
+        spec: specification of the units.
+    """
 
     spec: UnitSpec
 
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
-        """Probabilities of V_object of each category."""
+        """Predict the probabilities of V_object for each category."""
 
 
 class UnitEnsemble:
-    """Several modules as one.
+    """Combines predictors of different categories into one.
 
     Raises:
-        UserError: if they are of different cameras or grids, or share a category.
+        UserError: if cameras or grids differ, or two predictors have a category in common.
     """
 
-    def __init__(self, modules: Sequence[ImaginationModule]) -> None:
-        self.modules = list(modules)
-        self.spec = reduce(joined, (module.spec for module in modules))
+    def __init__(self, predictors: Sequence[MapPredictor]) -> None:
+        self.predictors = list(predictors)
+        self.spec = reduce(join_specs, (predictor.spec for predictor in predictors))
 
     def __call__(self, observation: Observation) -> Float32[np.ndarray, "c v v"]:
-        return np.concatenate([module(observation) for module in self.modules])
+        return np.concatenate([predictor(observation) for predictor in self.predictors])
 
 
 class ViewEvidence(NamedTuple):
-    """What views say.
+    """Evidence of a view (or a batch of views) about egocentric cells, to be registered in a map.
 
     Attributes:
-        values: of cells.
-        mask: cells that they have something to say about.
-        imagined: those of them that they did not see; None if they saw all.
+        values: probabilities of the cells.
+        mask: cells with evidence, observed or imagined.
+        imagined: cells of `mask` that the view did not observe; None if it observed all of them.
     """
 
     values: Float32[np.ndarray, "*b v v"]
@@ -165,13 +174,13 @@ def valid_imagination(
     kernel: float,
     resolution: float,
 ) -> ViewEvidence:
-    """V_valid = prediction * M*_seen, M*_seen = dilation([prediction >= tau_valid] * V_seen, epsilon).
+    """Compute V_valid = prediction * M*_seen with M*_seen = dilation([prediction >= tau_valid] * V_seen, epsilon).
 
-    A view has something to say about the cells it saw, where it denies what is not valid, and about M*_seen.
+    The evidence of a view covers the observed cells (probability 0 where the prediction is not valid) and M*_seen.
 
     Args:
-        probabilities: what the units imagine.
-        seen: V_seen.
+        probabilities: predictions of the units.
+        seen: V_seen, the observed cells.
         threshold: tau_valid.
         kernel: epsilon, metres.
         resolution: metres per cell.
@@ -180,17 +189,18 @@ def valid_imagination(
     return ViewEvidence(np.where(valid, probabilities, np.float32(0)), valid | seen, valid & ~seen)
 
 
-def joined(one: UnitSpec, other: UnitSpec) -> UnitSpec:
-    """The description of units side by side.
+def join_specs(one: UnitSpec, other: UnitSpec) -> UnitSpec:
+    """Return the specification of the combined units.
 
     Raises:
-        UserError: if they are of different cameras or grids, or share a category.
+        UserError: if cameras or grids differ, or a category is in both.
     """
     for name in ("camera", "ego", "obstacles", "valid_threshold", "valid_kernel"):
         if getattr(one, name) != getattr(other, name):
             raise UserError(
                 f"units: got the {name} {getattr(one, name)} of {', '.join(one.categories)} and "
-                f"{getattr(other, name)} of {', '.join(other.categories)}, expected one; use units trained alike"
+                f"{getattr(other, name)} of {', '.join(other.categories)}, expected equal values; use units that were "
+                "trained with the same configuration"
             )
-    own = ("categories", "colours", "thresholds")  # of each category
-    return replace(one, **{name: getattr(one, name) + getattr(other, name) for name in own})
+    per_category = ("categories", "colours", "thresholds")
+    return replace(one, **{name: getattr(one, name) + getattr(other, name) for name in per_category})

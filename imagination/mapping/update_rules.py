@@ -1,8 +1,8 @@
-"""Registration rules: what becomes of a cell that was written before when a view has something to say about it.
+"""Update rules: how a view's evidence changes map cells that were written before.
 
-A rule works on the values of the cells that one view touches, as flat arrays, and knows nothing of maps or windows. The
-first write of a cell, and its first sighting, are taken whole whatever the rule, by the mapper. A new rule is any
-callable of the same form.
+A rule works on flat arrays of the cells that one view writes and is independent of maps and windows. The mapper sets
+the value of a cell at its first write and at its first observation without the rule. Any callable of the same signature
+is a rule.
 """
 
 from dataclasses import dataclass
@@ -16,26 +16,26 @@ from imagination.utils.errors import check_range
 
 @runtime_checkable
 class UpdateRule(Protocol):
-    """How old and new values become one."""
+    """Combines old and new cell values."""
 
     def __call__(
         self, old: Float32[np.ndarray, " n"], new: Float32[np.ndarray, " n"], count: Int32[np.ndarray, " n"]
     ) -> Float32[np.ndarray, " n"]:
-        """Values of the cells after a view.
+        """Return the values of the cells after a view.
 
         Args:
             old: probabilities in the map.
-            new: probabilities that the view gives.
-            count: views that wrote each cell so far; where it is 0 the result is not used.
+            new: probabilities of the view.
+            count: number of views that wrote each cell so far; where it is 0 the result is not used.
         """
 
 
 @dataclass(frozen=True)
 class MovingAverage:
-    """m <- a m + (1 - a) v, the paper's rule and OccupancyAnticipation's.
+    """Moving average m <- a m + (1 - a) v, as in the paper and in OccupancyAnticipation.
 
     Attributes:
-        aggregation_factor: a, weight of the old value, 0 to 1.
+        aggregation_factor: weight a of the old value, 0 to 1.
     """
 
     aggregation_factor: float = 0.9
@@ -51,11 +51,11 @@ class MovingAverage:
 
 @dataclass(frozen=True)
 class EntropyMovingAverage:
-    """The moving average, of certain values only: a new value of high entropy leaves a written cell as it is.
+    """Moving average that ignores new values of high entropy.
 
     Attributes:
         aggregation_factor: weight of the old value, 0 to 1.
-        max_entropy: in nats, of a value that is averaged in; ln 2 = 0.69 is that of probability 0.5.
+        max_entropy: largest entropy of a value that is averaged in, nats; ln 2 = 0.69 is that of probability 0.5.
     """
 
     aggregation_factor: float = 0.9
@@ -76,7 +76,7 @@ class EntropyMovingAverage:
 
 @dataclass(frozen=True)
 class Mean:
-    """The mean of all values so far: m <- m + (v - m) / (n + 1), n views having written the cell before."""
+    """Mean of all values so far: m <- m + (v - m) / (n + 1), where n views have written the cell before."""
 
     def __call__(
         self, old: Float32[np.ndarray, " n"], new: Float32[np.ndarray, " n"], count: Int32[np.ndarray, " n"]
@@ -87,7 +87,7 @@ class Mean:
 
 @dataclass(frozen=True)
 class Max:
-    """The largest value so far; on masks, their union."""
+    """Largest value so far; the union of masks."""
 
     def __call__(
         self, old: Float32[np.ndarray, " n"], new: Float32[np.ndarray, " n"], count: Int32[np.ndarray, " n"]
@@ -98,7 +98,7 @@ class Max:
 
 @dataclass(frozen=True)
 class Latest:
-    """The latest value."""
+    """Latest value."""
 
     def __call__(
         self, old: Float32[np.ndarray, " n"], new: Float32[np.ndarray, " n"], count: Int32[np.ndarray, " n"]

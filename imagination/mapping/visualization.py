@@ -1,4 +1,4 @@
-"""Maps as pictures: categories in colour over occupancy."""
+"""Pictures of maps: categories in colour over occupancy."""
 
 from collections.abc import Sequence
 
@@ -12,11 +12,11 @@ Picture = UInt8[np.ndarray, "h w 3"]
 
 FREE_COLOUR, OCCUPIED_COLOUR, UNKNOWN_COLOUR = (255, 255, 255), (60, 60, 60), (205, 205, 205)
 FAINT = 0.1
-"""Probabilities below are not drawn."""
+"""Smallest probability that is drawn."""
 
 
 def draw_map(maps: Maps, colours: Colours) -> Picture:
-    """Occupancy in grey; a category's colour over it, full from its threshold on, weak where it is less likely."""
+    """Draw occupancy in grey and each category in its colour, opaque from its threshold on and faint below it."""
     layer = maps.occupancy_layer()
     picture = np.full((*layer.shape, 3), UNKNOWN_COLOUR, np.float32)
     picture[layer == FREE] = FREE_COLOUR
@@ -30,7 +30,7 @@ def paint(
     colours: Colours,
     thresholds: Sequence[float],
 ) -> Picture:
-    """Lay the categories' colours over a picture; see `draw_map`."""
+    """Blend the categories' colours over a picture; see `draw_map`."""
     for layer, colour, threshold in zip(probabilities, colours, thresholds, strict=True):
         weight = np.select([layer >= threshold, layer >= FAINT], [np.float32(0.85), 0.5 * layer / threshold])
         picture = picture + weight[..., None] * (np.array(colour, np.float32) - picture)

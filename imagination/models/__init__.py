@@ -1,1 +1,1 @@
-"""Imagination units, their parts and losses, and the networks they are compared with."""
+"""Imagination units, their parts and losses, and the baseline networks."""

@@ -1,8 +1,8 @@
-"""Backbones: maps of the egocentric grid in, `width` channels of the same grid out.
+"""Backbones, which map egocentric maps to `width` channels of features on the same grid.
 
-Both have the same way down, five levels of 1, 1/2, 1/4, 1/8 and 1/16 of the grid's cells with 1, 2, 4, 8 and 8 times
-`width` channels (OccupancyAnticipation's), and differ in the way up. Sizes are rounded up on the way down and taken
-from the level they join on the way up, so that any grid will do.
+The backbones have the same downsampling path, that of OccupancyAnticipation: five levels of 1, 1/2, 1/4, 1/8 and 1/16
+of the grid's resolution with 1, 2, 4, 8 and 8 times `width` channels. They differ in the upsampling path. Sizes are
+rounded up when downsampling and restored from the skip connections when upsampling, so that grids of any size work.
 """
 
 from abc import ABC, abstractmethod
@@ -15,19 +15,19 @@ from imagination.models.resizing import resize
 from imagination.utils.errors import check_range
 
 GROWTH = (1, 2, 4, 8, 8)
-"""Channels of each level in multiples of the width."""
+"""Channels of each level, multiples of the width."""
 
 MERGED = 3
-"""How many of the coarsest levels image features are merged into."""
+"""Number of coarsest levels into which image features are merged."""
 
 
 class Backbone(nn.Module, ABC):
-    """The way down, with image features merged in; a subclass adds the way up.
+    """Downsampling path with merged image features; a subclass adds the upsampling path.
 
     Args:
-        in_channels: of the maps.
-        image_channels: of the image features to merge, 0 if there are none.
-        width: channels of the finest level and of the result.
+        in_channels: number of channels of the maps.
+        image_channels: number of channels of the image features, 0 without image features.
+        width: number of channels of the finest level and of the output.
     """
 
     def __init__(self, in_channels: int, image_channels: int, width: int) -> None:
@@ -39,7 +39,7 @@ class Backbone(nn.Module, ABC):
         self.pool = nn.MaxPool2d(2, ceil_mode=True)
         if image_channels:
             merged = channels[-MERGED:]
-            # before anything else: an encoder may give hundreds of channels
+            # reduced first, because an encoder may return hundreds of channels
             self.reduce = Convolution(image_channels, merged[0], kernel=1)
             self.image_down = nn.ModuleList(map(Convolutions, [merged[0], *merged[:-1]], merged))
             self.merge = nn.ModuleList([Convolution(2 * size, size, kernel=1) for size in merged])
@@ -47,12 +47,12 @@ class Backbone(nn.Module, ABC):
     def forward(
         self, maps: Float[Tensor, "b i v v"], image: Float[Tensor, "b c p q"] | None = None
     ) -> Float[Tensor, "b o v v"]:
-        """Decoded features of every cell: (B, `width`, V, V).
+        """Return decoded features of every cell: (B, `width`, V, V).
 
         Args:
-            maps: what is known of the cells.
-            image: features of the camera image, in its own perspective: they are stretched over the grid, and
-                the network learns where in it they belong.
+            maps: egocentric maps.
+            image: features of the camera image in the image's perspective; they are resized to the grid, and the
+                network learns their place in it.
         """
         levels = [maps]
         for index, convolutions in enumerate(self.down):
@@ -64,7 +64,7 @@ class Backbone(nn.Module, ABC):
 
     @abstractmethod
     def decode(self, levels: list[Tensor]) -> Tensor:
-        """Bring the levels, finest first, back to the grid's size."""
+        """Decode the levels, finest first, to the size of the grid."""
 
     def _merge(self, levels: list[Tensor], image: Tensor) -> list[Tensor]:
         merged = []
@@ -76,7 +76,7 @@ class Backbone(nn.Module, ABC):
 
 
 class UNet(Backbone):
-    """Ronneberger et al. 2015: each level is joined, on the way up, by the one of the same size on the way down."""
+    """U-Net (Ronneberger et al. 2015): skip connections join levels of the same size by concatenation."""
 
     def __init__(self, in_channels: int, image_channels: int, width: int) -> None:
         super().__init__(in_channels, image_channels, width)
@@ -84,7 +84,8 @@ class UNet(Backbone):
         outputs = [*skips[1:], width]
         inputs = [self.channels[-1], *outputs[:-1]]
         self.up = nn.ModuleList(
-            Convolutions(below + skip, out) for below, skip, out in zip(inputs, skips, outputs, strict=True)
+            Convolutions(below + skip, output)
+            for below, skip, output in zip(inputs, skips, outputs, strict=True)
         )
 
     def decode(self, levels: list[Tensor]) -> Tensor:
@@ -95,7 +96,7 @@ class UNet(Backbone):
 
 
 class FPN(Backbone):
-    """Lin et al. 2017: levels of one width added on the way up; their sum over all sizes is the result."""
+    """Feature pyramid network (Lin et al. 2017): levels of equal width are added; the output sums all levels."""
 
     def __init__(self, in_channels: int, image_channels: int, width: int) -> None:
         super().__init__(in_channels, image_channels, width)
@@ -113,7 +114,7 @@ class FPN(Backbone):
 
 
 class Convolution(nn.Sequential):
-    """Convolution that keeps the size, batch normalisation, ReLU."""
+    """Convolution that preserves the size, batch normalisation and ReLU."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int = 3) -> None:
         convolution = nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2, bias=False)
@@ -121,7 +122,7 @@ class Convolution(nn.Sequential):
 
 
 class Convolutions(nn.Sequential):
-    """Two convolutions of 3 x 3."""
+    """Two 3 x 3 convolutions."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(Convolution(inputs, outputs), Convolution(outputs, outputs))

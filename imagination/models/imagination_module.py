@@ -1,4 +1,4 @@
-"""The imagination module of the paper (section III-B): identical units side by side, one for each category."""
+"""Imagination module of the paper (section III-B): identical, independent units, one per category."""
 
 from collections.abc import Sequence
 from copy import deepcopy
@@ -12,24 +12,25 @@ from imagination.utils.errors import UserError
 
 
 class ImaginationModule(Unit):
-    """Units that share nothing but their inputs, trained as one job.
+    """Units that share only their inputs, trained in one run.
 
-    Their losses add up and no weight belongs to two of them, so each gets the gradients that it would get alone; they
-    begin with the same weights, as units that are trained alone with the same seed do.
+    Losses are summed and no weight is shared, so each unit gets the gradients of training alone. The units start with
+    equal weights, as units that are trained alone with the same seed do.
 
     Args:
-        unit: of one category; copied for the others.
-        categories: what to imagine, a unit for each.
+        unit: unit of one category, which is copied for each category.
+        categories: names of the categories, one per unit.
 
     Raises:
-        UserError: if the unit is not of one category.
+        UserError: if the unit has several categories.
     """
 
     def __init__(self, unit: Unit, categories: Sequence[str]) -> None:
         super().__init__(categories)
         if len(unit.categories) != 1:
             raise UserError(
-                f"model.unit.unit: got a unit of {', '.join(unit.categories)}, expected one category (each gets a copy)"
+                f"model.unit.unit: got a unit of {', '.join(unit.categories)}, expected one category; "
+                "each category gets a copy"
             )
         self.units = nn.ModuleList(deepcopy(unit) for _ in self.categories)
 
@@ -40,8 +41,8 @@ class ImaginationModule(Unit):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """See `Unit`."""
-        return torch.cat([unit.logits(rgb, depth, occupied, seen) for unit in self._each()], dim=1)
+        """Return the logits of all units; see `Unit`."""
+        return torch.cat([unit.logits(rgb, depth, occupied, seen) for unit in self._units()], dim=1)
 
     def raw(
         self,
@@ -50,13 +51,13 @@ class ImaginationModule(Unit):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """See `Unit`; each unit looks as often as it is made to."""
-        return torch.cat([unit.raw(rgb, depth, occupied, seen) for unit in self._each()], dim=1)
+        """Return the raw logits of all units; see `Unit`."""
+        return torch.cat([unit.raw(rgb, depth, occupied, seen) for unit in self._units()], dim=1)
 
     def postprocess(self, raw: Float[Tensor, "b c v v"]) -> Float[Tensor, "b c v v"]:
-        """See `Unit`; each unit as it is made to."""
-        each = zip(self._each(), torch.split(raw, 1, dim=1), strict=True)
-        return torch.cat([unit.postprocess(own) for unit, own in each], dim=1)
+        """Return the postprocessed logits of all units; see `Unit`."""
+        pairs = zip(self._units(), torch.split(raw, 1, dim=1), strict=True)
+        return torch.cat([unit.postprocess(logits) for unit, logits in pairs], dim=1)
 
-    def _each(self) -> list[Unit]:
+    def _units(self) -> list[Unit]:
         return [unit for unit in self.units if isinstance(unit, Unit)]

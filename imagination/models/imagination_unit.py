@@ -1,4 +1,4 @@
-"""The imagination unit of the paper (section III-B): image encoder and map backbone."""
+"""Imagination unit of the paper (section III-B): image encoder and map backbone."""
 
 from collections.abc import Callable, Sequence
 
@@ -15,21 +15,22 @@ from imagination.models.unit import Unit, prediction_head, window_cells
 
 
 class ImaginationUnit(Unit):
-    """Encoder for the image, backbone for the egocentric depth projection; the image's features join on its way down.
+    """Unit whose backbone processes the egocentric depth projection and merges the image features of an encoder.
 
-    The paper's projection is `occupied` and `seen`. Ours has a layer for each band of heights beside them, since
-    occupancy alone does not tell a chair from a washbasin; no bands (`scale.heights=[]`, as at `scale=paper`) gives
-    the paper's.
+    The paper's projection consists of `occupied` and `seen`. Ours adds one layer per band of heights, because occupancy
+    alone does not distinguish a chair from a washbasin. Without bands (`scale.heights=[]`, as at `scale=paper`) the
+    projection is the paper's.
 
     Args:
-        encoder: images to features.
-        backbone: makes a backbone, given `in_channels` and `image_channels`.
-        camera: that takes the images.
+        encoder: encoder of the camera image.
+        backbone: factory of the backbone, called with `in_channels` and `image_channels`.
+        camera: camera of the images.
         ego: grid of the maps.
         heights: bounds of the bands above the floor, ascending, metres; fewer than two give no band.
-        height_jitter: while training, the heights in a view are scaled by a random factor of 1 ± this.
-        categories, tta_hflip: as of every `Unit`.
-        postprocess_dilation: side of its square, metres.
+        height_jitter: maximum relative change of the heights, drawn for each view in training.
+        categories: names of the categories.
+        tta_hflip: whether to use horizontal-flip test-time augmentation; see `Unit`.
+        postprocess_dilation: side of the window of averaging and dilation, metres; see `Unit`.
 
     Raises:
         UserError: if the heights do not ascend or the jitter is out of range.
@@ -60,7 +61,7 @@ class ImaginationUnit(Unit):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """See `Unit`."""
+        """Return the logits of V_object; see `Unit`."""
         maps = torch.cat([occupied.float(), seen.float(), self.bands(depth)], dim=1)
         logits: Tensor = self.head(self.backbone(maps, self.encoder(rgb)))
         return logits

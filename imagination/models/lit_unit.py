@@ -1,4 +1,4 @@
-"""Training of a unit with Lightning; the unit itself knows nothing of it."""
+"""LightningModule that trains a unit."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -20,26 +20,27 @@ from imagination.utils.process_group import sum_over_ranks
 
 Batch = Mapping[str, Tensor]
 """rgb uint8 (B, 3, H, W); depth float16 (B, 1, H, W), metres; occupied and seen uint8 (B, 1, V, V); label and
-neighbourhood (M*_seen made from the truth) uint8 (B, C, V, V); counts int64 (3, C) where it is a part of a batch, see
-`batch_counts`. Further entries are left alone."""
+neighbourhood (M*_seen of the ground truth) uint8 (B, C, V, V); counts int64 (3, C) in a micro-batch, see
+`batch_counts`. Further entries are ignored."""
 
 
 class LitUnit(LightningModule):
-    """Trains a unit and scores its egocentric maps.
+    """LightningModule that trains a unit and scores its egocentric maps.
 
     Args:
-        unit: the network.
-        loss: between its logits and the label, e.g. the paper's `WeightedBCE`.
+        unit: network to train.
+        loss: loss between logits and label, e.g. the paper's `WeightedBCE`.
         ego: grid of the maps.
         neighbourhood: side of the kernel ε of M*_seen, metres.
-        optimizer: makes the optimiser, given parameters.
-        scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
-        valid_threshold: τ_valid, for M*_seen after prediction.
-        channels_last: keep images and weights channels-last in memory.
-        compile: train with torch.compile, which needs a C++ compiler and some minutes.
+        optimizer: factory of the optimiser, called with the parameters.
+        scheduler: factory of the learning-rate scheduler, called with the optimiser; stepped once per epoch.
+        valid_threshold: τ_valid, the threshold for M*_seen of a prediction.
+        channels_last: whether images and weights use the channels-last memory format.
+        compile: whether to train with torch.compile, which needs a C++ compiler and some minutes.
 
     Raises:
-        UserError: if the threshold is out of range; where training begins, if a loss without parts is to accumulate.
+        UserError: if the threshold is out of range, or at the start of training, if gradients are to be accumulated
+            with a loss that cannot be computed in parts.
     """
 
     chosen: Tensor
@@ -67,21 +68,21 @@ class LitUnit(LightningModule):
         kernel = kernel_cells(neighbourhood, ego.resolution)
         self.val_scores = EgoScores(len(self.categories), kernel, valid_threshold)
         self.test_scores = EgoScores(len(self.categories), kernel, valid_threshold)
-        # which of THRESHOLDS each category's egocentric map takes, chosen at each validation; part of checkpoints
+        # index in THRESHOLDS of each category's threshold, selected at each validation and saved in checkpoints
         self.register_buffer("chosen", torch.full((len(self.categories),), len(THRESHOLDS) // 2))
 
     def forward(self, batch: Batch) -> Float[Tensor, "b c v v"]:
-        """Logits for a batch."""
+        """Return the logits of a batch."""
         logits: Tensor = self.unit(batch["rgb"], batch["depth"], batch["occupied"], batch["seen"])
         return logits
 
     @torch.no_grad()
     def predict(self, batch: Batch) -> Prediction:
-        """Probabilities of V_object for a batch on any device, as in evaluation mode and in single precision."""
+        """Return the probabilities of V_object of a batch on any device, in evaluation mode and single precision."""
         training = self.training
         self.eval()
         views = [batch[name].to(self.device) for name in ("rgb", "depth", "occupied", "seen")]
-        # a plugin's unit may be any module
+        # the unit of a plugin may be any module, which has no raw logits
         raw = self.unit.raw(*views) if isinstance(self.unit, Unit) else self.unit(*views)
         maps = self.unit.postprocess(raw) if isinstance(self.unit, Unit) else raw
         self.train(training)
@@ -92,15 +93,15 @@ class LitUnit(LightningModule):
             return
         if (count := self.trainer.accumulate_grad_batches) > 1 and not self.loss.in_parts:
             raise UserError(
-                f"scale.accumulate: got {count}, expected 1 for the loss {type(self.loss).__name__}, which compares "
-                "a batch as a whole; or take model/loss=weighted_bce"
+                f"scale.accumulate: got {count}, expected 1 for the loss {type(self.loss).__name__}, which needs the "
+                "whole batch; set scale.accumulate=1 or model/loss=weighted_bce"
             )
         if self.compiled:
             self.unit.compile()
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         loss, parts = self.loss(self(batch), batch["label"], batch["neighbourhood"], batch.get("counts"))
-        # Lightning takes the mean over the parts of an accumulated batch, whose losses add up
+        # Lightning averages over the parts of an accumulated batch, but their losses add up
         loss = loss * self.trainer.accumulate_grad_batches
         values = {
             "loss": loss,
@@ -123,31 +124,31 @@ class LitUnit(LightningModule):
 
     def on_validation_epoch_end(self) -> None:
         self.chosen.copy_(best_thresholds(self.val_scores.compute()))
-        self.log("val/threshold", self.chosen_thresholds.mean())
+        self.log("val/threshold", self.selected_thresholds.mean())
         self._log_scores("val", self.val_scores)
 
     @property
-    def chosen_thresholds(self) -> Float[Tensor, " c"]:
-        """Of each category's egocentric map."""
+    def selected_thresholds(self) -> Float[Tensor, " c"]:
+        """Threshold of each category's egocentric map."""
         return torch.tensor(THRESHOLDS, device=self.chosen.device)[self.chosen]
 
     def on_test_epoch_end(self) -> None:
         self._log_scores("test", self.test_scores)
 
-    def configure_optimizers(self) -> Any:  # Lightning's own type for this is a union of many
+    def configure_optimizers(self) -> Any:  # Lightning's return type is a large union
         optimizer = self.optimizer(self.parameters())
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer)}
 
     def _score(self, batch: Batch, stage: str, scores: EgoScores) -> None:
         logits = self(batch).float()
         loss, _ = self.loss(logits, batch["label"], batch["neighbourhood"])
-        # every rank counts for as many views as all have: its loss is already scaled to its part of them
+        # each rank is weighted by the views of all ranks, because its loss is already scaled by its fraction of them
         views = sum_over_ranks(torch.tensor(len(logits), device=logits.device))
         self.log(f"{stage}/loss", loss, batch_size=int(views), sync_dist=True)
         scores.update(logits.sigmoid(), batch["label"], batch["seen"])
 
     def _log_scores(self, stage: str, scores: EgoScores) -> None:
-        """Log the scores of all ranks at the chosen thresholds and begin anew."""
+        """Log the scores of all ranks at the selected thresholds and reset them."""
         named = named_scores(scores.compute(), self.chosen, self.categories)
         self.log_dict({f"{stage}/{name}": value for name, value in named.items()})
         scores.reset()

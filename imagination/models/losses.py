@@ -1,4 +1,4 @@
-"""Losses on logits: the paper's weighted binary cross-entropy (section III-B), and cross-entropy with batch dice."""
+"""Losses on logits: weighted binary cross-entropy of the paper (section III-B) and cross-entropy with batch dice."""
 
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
@@ -13,11 +13,11 @@ from imagination.utils.process_group import sum_over_ranks, world_size
 
 
 class Result(NamedTuple):
-    """What a loss gives.
+    """Result of a loss.
 
     Attributes:
-        loss: whose gradients, averaged over ranks, are those of the whole batch.
-        parts: what it is made of, for the log.
+        loss: loss whose gradients, averaged over ranks, are those of the whole batch.
+        parts: components of the loss and other values to log, by name.
     """
 
     loss: Float[Tensor, ""]
@@ -26,10 +26,10 @@ class Result(NamedTuple):
 
 @runtime_checkable
 class Loss(Protocol):
-    """How far imagined maps are from what they should be; categories add up.
+    """Loss between imagined maps and labels, summed over categories.
 
     Attributes:
-        in_parts: whether the loss of a batch is the sum of its parts', given the counts of the whole.
+        in_parts: whether the loss of a batch is the sum of the losses of its parts, given the counts of the batch.
     """
 
     in_parts: ClassVar[bool]
@@ -41,18 +41,18 @@ class Loss(Protocol):
         neighbourhood: UInt8[Tensor, "b c v v"],
         counts: Int64[Tensor, "3 c"] | None = None,
     ) -> Result:
-        """The loss of a batch or, with `counts`, of a part of one; arguments as of `imagination_loss`."""
+        """Return the loss of a batch or, with `counts`, of a part of a batch; see `imagination_loss`."""
 
 
 @dataclass(frozen=True)
 class WeightedBCE:
-    """The paper's; see `imagination_loss`.
+    """Weighted binary cross-entropy of the paper; see `imagination_loss`.
 
     Attributes:
-        alpha_max, gamma_max: caps of the weights.
+        alpha_max, gamma_max: upper bounds of the weights.
 
     Raises:
-        UserError: if a cap is out of range.
+        UserError: if a bound is out of range.
     """
 
     in_parts = True
@@ -76,16 +76,16 @@ class WeightedBCE:
 
 @dataclass(frozen=True)
 class BCEDice:
-    """Binary cross-entropy, the mean over all cells, plus the dice loss of the whole batch; not the paper's.
+    """Binary cross-entropy, averaged over all cells, plus the dice loss of the whole batch; not the paper's loss.
 
-    With p = σ(logits) and y = V_label, for each category by itself, sums over all cells of all views:
+    With p = σ(logits) and y = V_label, separately for each category, and sums over all cells of all views:
 
         dice = 1 - 2 (Σ p y + 1) / (Σ p + Σ y + 2)
 
-    (Milletari et al. 2016, V-Net, with the squares in the denominator left out.) The batch is taken as one picture,
-    since a single view often has no label at all. The ones keep a batch without any label from having no gradient.
+    (Milletari et al. 2016, V-Net, without the squares in the denominator.) The sums run over the whole batch, because
+    a single view often has no label. The ones give a batch without any label a gradient.
 
-    Its gradient at one view depends on what is imagined in all others, so it cannot be computed in parts.
+    The gradient of one view depends on the predictions of all other views, so the loss cannot be computed in parts.
     """
 
     in_parts = False
@@ -97,27 +97,27 @@ class BCEDice:
         neighbourhood: UInt8[Tensor, "b c v v"],
         counts: Int64[Tensor, "3 c"] | None = None,
     ) -> Result:
-        assert counts is None, "dice has no parts"
+        assert counts is None, "dice cannot be computed in parts"
         target = (label > 0).float()
         views = sum_over_ranks(torch.tensor(float(len(label)), device=label.device))
         total = binary_cross_entropy_with_logits(logits.float(), target, reduction="sum")
         bce = total * world_size() / (views * label.shape[-2] * label.shape[-1])
-        imagined = logits.float().sigmoid()
-        both, either = (
-            with_other_ranks(cells.sum(dim=(0, 2, 3))) for cells in (imagined * target, imagined + target)
+        predicted = logits.float().sigmoid()
+        intersection, total_area = (
+            with_other_ranks(cells.sum(dim=(0, 2, 3))) for cells in (predicted * target, predicted + target)
         )
-        dice = (1 - 2 * (both + 1) / (either + 2)).sum()
-        # every rank has the whole batch's dice, but gradients of its own views alone; the mean over ranks has all
+        dice = (1 - 2 * (intersection + 1) / (total_area + 2)).sum()
+        # each rank has the dice of the whole batch but gradients of only its views, which the mean over ranks combines
         loss = bce + dice + (world_size() - 1) * (dice - dice.detach())
         return Result(loss, {"bce": bce.detach(), "dice": dice.detach()})
 
 
 class Weights(NamedTuple):
-    """Weights of cells, one of each for every category.
+    """Weights of cells for each category.
 
     Attributes:
-        alpha: w_α, of the cells of the label.
-        gamma: w_γ, of the cells around the seen part of an object that are not label.
+        alpha: w_α, weight of label cells.
+        gamma: w_γ, weight of the cells without label around the seen part of an object.
     """
 
     alpha: Float[Tensor, " c"]
@@ -132,9 +132,9 @@ def imagination_loss(
     gamma_max: float = 10.0,
     counts: Int64[Tensor, "3 c"] | None = None,
 ) -> tuple[Float[Tensor, ""], Weights]:
-    """Weighted cross-entropy between the imagined map and V_label.
+    """Return the weighted cross-entropy between the imagined map and V_label.
 
-    With p = σ(logits) for V_object, the paper's equations, for each category by itself:
+    With p = σ(logits) for V_object, the paper's equations are, separately for each category:
 
         w_α  = min(N / (#{V_label > 0} + 1), alpha_max)
         w_γ  = min(N / (#{M*_seen > 0 and V_label = 0} + 1), gamma_max)
@@ -143,51 +143,52 @@ def imagination_loss(
         W    = W_α + W_γ + 1
         L    = mean over the batch of Σ_ij -W_ij (V_label log p + (1 - V_label) log(1 - p))
 
-    The paper leaves open, and we settled:
+    Our decisions where the paper is ambiguous:
 
-    - N and both counts are taken over the whole batch, "a large batch size is more beneficial to obtain a stable
-      weight matrix", and over all ranks where training is distributed: N = B V^2 for B views on all of them.
+    - N and both counts are taken over the whole batch ("a large batch size is more beneficial to obtain a stable
+      weight matrix") and over all ranks in distributed training: N = B V^2 for B views on all ranks.
     - The paper's "number of occupied cells" in w_γ is the number of cells that W_γ weighs.
     - The sum runs over the V^2 cells of a view, and the mean over the batch's views.
-    - Categories that share a network add up, as the losses of their units would.
+    - The losses of categories that share a network are summed, as those of separate units would be.
 
     Args:
-        logits: of the unit.
+        logits: logits of the unit.
         label: V_label, 0 or 1.
-        neighbourhood: M*_seen made from the truth, 0 or 1.
-        alpha_max, gamma_max: caps of the weights; 1 switches a weight off.
-        counts: of the whole batch, where this is a part of it; the parts' losses then add up to the batch's.
+        neighbourhood: M*_seen of the ground truth, 0 or 1.
+        alpha_max, gamma_max: upper bounds of the weights; 1 disables a weight.
+        counts: counts of the whole batch if the arguments are a part of it; the losses of all parts then add up to
+            the loss of the batch.
 
     Returns:
-        The loss, whose gradients average over ranks to those of the whole batch, and the weights.
+        The loss, whose gradients averaged over ranks are those of the whole batch, and the weights.
     """
     positive = label > 0
     around = (neighbourhood > 0) & ~positive
-    own = batch_counts(label, neighbourhood) if counts is None else counts.clone()
-    views, positives, arounds = sum_over_ranks(own).unbind()
+    local = batch_counts(label, neighbourhood) if counts is None else counts.clone()
+    views, positives, arounds = sum_over_ranks(local).unbind()
     cells = views * label.shape[-2] * label.shape[-1]
     w_alpha = (cells / (positives + 1)).clamp(max=alpha_max)
     w_gamma = (cells / (arounds + 1)).clamp(max=gamma_max)
     weight = (w_alpha - 1).view(-1, 1, 1) * positive + (w_gamma - 1).view(-1, 1, 1) * around + 1
     total = binary_cross_entropy_with_logits(logits.float(), positive.float(), weight, reduction="sum")
-    # each rank divides by its share of all views, so that the mean over ranks is the mean over views
+    # each rank divides by the mean number of views per rank, so that the mean over ranks is the mean over views
     return total * world_size() / views[0], Weights(w_alpha, w_gamma)
 
 
 def batch_counts(
     label: UInt8[Tensor, "b c v v"], neighbourhood: UInt8[Tensor, "b c v v"]
 ) -> Int64[Tensor, "3 c"]:
-    """What the weights are made of: views, cells of the label and cells around it, of each category."""
+    """Return the counts that determine the weights: views, label cells and cells around them, of each category."""
     positive = label > 0
     views = label.new_full((label.shape[1],), len(label), dtype=torch.long)
     return torch.stack([views, count(positive), count((neighbourhood > 0) & ~positive)])
 
 
 def count(mask: Bool[Tensor, "b c v v"]) -> Int64[Tensor, " c"]:
-    """Cells of a mask over the whole batch, by category."""
+    """Count the cells of a mask over the whole batch, by category."""
     return mask.sum(dim=(0, 2, 3))
 
 
 def with_other_ranks(sums: Tensor) -> Tensor:
-    """The sum of a tensor over all processes, with this one's gradients."""
+    """Sum a tensor over all ranks, with the gradients of this rank only."""
     return sums + (sum_over_ranks(sums.detach().clone()) - sums.detach())

@@ -1,4 +1,4 @@
-"""The variant that carries image features to the egocentric grid through depth."""
+"""Unit that projects image features into the egocentric grid by depth."""
 
 from collections.abc import Callable, Sequence
 from math import inf
@@ -17,20 +17,21 @@ from imagination.models.unit import Unit, prediction_head, window_cells
 
 
 class ProjectedUnit(Unit):
-    """Each return's image features, and its height, go to the cell it lies in; a cell takes the mean of its returns.
+    """Unit that averages the image features and heights of the depth returns in each cell of the grid.
 
-    What the image shows thus meets `occupied` and `seen` at its place in the grid, before the backbone; the paper's
-    unit has to learn where in the image a cell's features are.
+    Image features are thus aligned with `occupied` and `seen` before the backbone, whereas the paper's unit has to
+    learn where in the image the features of a cell are.
 
     Args:
-        encoder: images to features.
-        backbone: makes a backbone, given `in_channels` and `image_channels`.
-        camera: that took the images.
+        encoder: encoder of the camera image.
+        backbone: factory of the backbone, called with `in_channels` and `image_channels`.
+        camera: camera of the images.
         ego: grid of the maps.
-        max_height: metres above the floor; higher returns, of lamps and ceilings, are left out.
-        width: channels of the image features that are carried over.
-        categories, tta_hflip: as of every `Unit`.
-        postprocess_dilation: side of its square, metres.
+        max_height: maximum height of returns above the floor, metres, which leaves out lamps and ceilings.
+        width: number of channels of the projected image features.
+        categories: names of the categories.
+        tta_hflip: whether to use horizontal-flip test-time augmentation; see `Unit`.
+        postprocess_dilation: side of the window of averaging and dilation, metres; see `Unit`.
     """
 
     def __init__(
@@ -59,7 +60,7 @@ class ProjectedUnit(Unit):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """See `Unit`. The images are of the camera's size."""
+        """Return the logits of V_object for images of the camera's size; see `Unit`."""
         image = resize(self.reduce(self.encoder(rgb)), *depth.shape[-2:])
         maps = [occupied.float(), seen.float(), self.projection(image, depth)]
         logits: Tensor = self.head(self.backbone(torch.cat(maps, dim=1)))
@@ -67,7 +68,13 @@ class ProjectedUnit(Unit):
 
 
 class Projection(nn.Module):
-    """Means over the egocentric grid's cells of what an image shows in them."""
+    """Projection of image features into the egocentric grid, averaged in each cell.
+
+    Args:
+        camera: camera of the depth images.
+        ego: grid of the maps.
+        max_height: maximum height of returns above the floor, metres.
+    """
 
     def __init__(self, camera: Camera, ego: EgoGrid, max_height: float) -> None:
         super().__init__()
@@ -78,20 +85,20 @@ class Projection(nn.Module):
     def forward(
         self, image: Float[Tensor, "b c h w"], depth: Float16[Tensor, "b 1 h w"]
     ) -> Float[Tensor, "b c+1 v v"]:
-        """Mean of the features of the returns in each cell, and of their height in metres; 0 where there is none.
+        """Return the mean features and the mean height, metres, of the returns in each cell; 0 in cells without one.
 
         Args:
-            image: features of each pixel; gradients flow back to them.
-            depth: metres along the optical axis, 0 where there is no return.
+            image: features of each pixel, to which gradients flow back.
+            depth: depth along the optical axis, metres; 0 without a return.
 
         Raises:
-            UserError: if the images are not of the camera's size.
+            UserError: if the images do not have the camera's size.
         """
         batch, channels = image.shape[:2]
         cells, height = self.depth_hits(depth, -inf, self.max_height)
         values = torch.cat([image.float(), height[:, None], torch.ones_like(height)[:, None]], dim=1)
         rows = values.permute(0, 2, 3, 1).reshape(-1, channels + 2)
-        # one row a cell, and a last one for the returns that lie in none
+        # one row per cell, and a last row for returns outside all cells
         sums = rows.new_zeros(batch * self.ego.cells**2 + 1, channels + 2)
         sums = sums.scatter_add(0, cells.reshape(-1, 1).expand_as(rows), rows)[:-1]
         means = sums[:, :-1] / sums[:, -1:].clamp(min=1)

@@ -1,14 +1,11 @@
-"""The learning rate over the epochs."""
+"""Learning-rate schedulers."""
 
 from torch import Tensor
 from torch.optim.lr_scheduler import CosineAnnealingLR
 
 
 class CosineAnnealing(CosineAnnealingLR):
-    """Cosine annealing that stays at its end: a run that goes on for more epochs than planned keeps the final rate.
-
-    PyTorch's own rises again after T_max.
-    """
+    """Cosine annealing that keeps the final learning rate after `T_max` epochs, where PyTorch's rate rises again."""
 
     def get_lr(self) -> list[float | Tensor]:
         if self.last_epoch > self.T_max:

@@ -1,4 +1,4 @@
-"""The interface of imagination units."""
+"""Interface of imagination units."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -14,15 +14,15 @@ from imagination.geometry.morphology import kernel_cells
 from imagination.utils.errors import check_range
 
 PRIOR = 0.05
-"""What an untrained unit answers about every cell: objects are rare, so training need not first learn that."""
+"""Initial foreground probability of every cell (bias of the output layer): objects are rare."""
 
 
 class Prediction(NamedTuple):
     """Probabilities of V_object.
 
     Attributes:
-        maps: as the unit answers.
-        plain: before they were averaged and dilated; see `Unit`.
+        maps: probabilities of the postprocessed logits.
+        raw: probabilities of the raw logits; see `Unit`.
     """
 
     maps: Float[Tensor, "b c v v"]
@@ -30,16 +30,19 @@ class Prediction(NamedTuple):
 
 
 class Unit(nn.Module, ABC):
-    """What every unit is: one camera image and its depth in, logits of the egocentric maps of some categories out.
+    """Base class of units, which predict logits of egocentric maps from a camera image and its depth.
 
-    A scene in a mirror is a scene too, so a unit may answer, outside training, with the mean of what it says of the view
-    and of the view in a mirror; the paper's units look once. Nothing in the truth is thin, boxes that are filled, so
-    its answers may be averaged and dilated over a window; the paper's units answer cell by cell.
+    Two optional steps in evaluation mode, which the paper's units lack:
+
+    - Horizontal-flip test-time augmentation averages the logits of a view and of its mirror image, since a mirrored
+      scene is a plausible scene. The result is the raw logits.
+    - Postprocessing averages and dilates the raw logits over a window, since the ground truth consists of filled boxes
+      and has no thin parts. The result is the postprocessed logits.
 
     Args:
-        categories: what to imagine, one map each; the paper has one unit for each category.
-        tta_hflip: whether to look twice, outside training.
-        postprocess_dilation: cells a side of the window outside training, an odd number; 1 for none.
+        categories: names of the categories, one map each; the paper has one unit per category.
+        tta_hflip: whether to use horizontal-flip test-time augmentation in evaluation mode.
+        postprocess_dilation: side of the window in evaluation mode, an odd number of cells; 1 disables it.
     """
 
     def __init__(
@@ -57,12 +60,12 @@ class Unit(nn.Module, ABC):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """Logits of V_object; their sigmoid is the imagined map.
+        """Return the logits of V_object, whose sigmoid is the imagined map; postprocessed in evaluation mode.
 
         Args:
             rgb: camera image, 0 to 255.
-            depth: of the same camera along its optical axis, metres; 0 where there is no return.
-            occupied, seen: the depth's projection into the egocentric grid, 0 or 1.
+            depth: depth along the optical axis of the same camera, metres; 0 without a return.
+            occupied, seen: projection of the depth into the egocentric grid, 0 or 1.
         """
         if self.training:
             return self.logits(rgb, depth, occupied, seen)
@@ -75,7 +78,7 @@ class Unit(nn.Module, ABC):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """What `forward` gives outside training, before it is averaged and dilated."""
+        """Return the raw logits, with test-time augmentation but without postprocessing."""
         logits = self.logits(rgb, depth, occupied, seen)
         if self.tta_hflip:
             mirrored = self.logits(*(view.flip(-1) for view in (rgb, depth, occupied, seen)))
@@ -83,7 +86,7 @@ class Unit(nn.Module, ABC):
         return logits
 
     def postprocess(self, raw: Float[Tensor, "b c v v"]) -> Float[Tensor, "b c v v"]:
-        """What `forward` makes of `plain`."""
+        """Return the postprocessed logits, averaged and dilated over the window."""
         return smoothed_and_dilated(raw, self.postprocess_dilation)
 
     @abstractmethod
@@ -94,34 +97,31 @@ class Unit(nn.Module, ABC):
         occupied: UInt8[Tensor, "b 1 v v"],
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
-        """What `forward` gives of views as they are."""
+        """Return the logits of views, without test-time augmentation or postprocessing."""
 
 
 def window_cells(size: float, ego: EgoGrid) -> int:
-    """Cells a side of a window of `size` metres: an odd number, so that nothing shifts.
+    """Return the side of a window of `size` metres in cells: an odd number, so that nothing shifts.
 
     >>> [window_cells(size, EgoGrid(resolution=0.06, cells=87)) for size in (0.0, 0.12, 0.18, 0.24)]
     [1, 3, 3, 5]
     """
-    return (
-        2
-        * (kernel_cells(check_range("scale.postprocess_dilation", size, 0.0, 2.0, "m"), ego.resolution) // 2)
-        + 1
-    )
+    check_range("scale.postprocess_dilation", size, 0.0, 2.0, "m")
+    return 2 * (kernel_cells(size, ego.resolution) // 2) + 1
 
 
 def smoothed_and_dilated(logits: Float[Tensor, "b c v v"], cells: int) -> Float[Tensor, "b c v v"]:
-    """Logits averaged over a square of so many cells a side, then dilated by it: nothing thinner is drawn."""
+    """Average logits over a square window of `cells` cells a side, then dilate them by it."""
     if cells == 1:
         return logits
     reach = cells // 2
-    maps = logits.float().flatten(0, 1)[None]  # all maps as channels of one: torch pools these in parallel
+    maps = logits.float().flatten(0, 1)[None]  # as channels of one map, which torch pools in parallel
     mean = avg_pool2d(maps, cells, stride=1, padding=reach, count_include_pad=False)
     return max_pool2d(mean, cells, stride=1, padding=reach).view_as(logits)
 
 
 def prediction_head(width: int, categories: int) -> nn.Conv2d:
-    """The last layer: logits of every category, about `PRIOR` to begin with."""
+    """Return the output layer, which predicts about `PRIOR` for every category before training."""
     head = nn.Conv2d(width, categories, 1)
     nn.init.constant_(head.bias, log(PRIOR / (1 - PRIOR)))  # type: ignore[arg-type]
     return head

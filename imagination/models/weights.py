@@ -1,26 +1,28 @@
-"""Weights that do not fit a network."""
+"""Comparison of saved weights with those of a network."""
 
 from collections.abc import Mapping
 
 from torch import Tensor
 
-SHOWN = 3
-"""Mismatches that an error lists."""
+MAX_SHOWN = 3
+"""Maximum number of mismatches in an error message."""
 
 
 def mismatches(weights: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> str:
-    """How many entries differ in name or shape and the first of them, with both shapes; empty if none does.
+    """Return the number of entries that differ in name or shape, and the first of them; empty if none differs.
 
     Args:
-        weights: got.
-        expected: the network's own.
+        weights: saved weights.
+        expected: weights of the network.
     """
-    found = [
+    differences = [
         f"{name}: got {_shape(weights.get(name))}, expected {_shape(expected.get(name))}"
         for name in dict.fromkeys([*expected, *weights])
         if _shape(weights.get(name)) != _shape(expected.get(name))
     ]
-    return f"{len(found)} entries differ, first {'; '.join(found[:SHOWN])}" if found else ""
+    if not differences:
+        return ""
+    return f"{len(differences)} entries differ, first {'; '.join(differences[:MAX_SHOWN])}"
 
 
 def _shape(tensor: Tensor | None) -> str:

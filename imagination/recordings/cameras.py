@@ -1,4 +1,4 @@
-"""A robot's camera from plain values, as in conf/recording and in camera.yaml of a plain folder."""
+"""Robot cameras from plain values of conf/recording or of camera.yaml in a plain folder."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,45 +12,45 @@ from imagination.utils.errors import UserError
 
 
 def camera_of(values: Mapping[str, Any], origin: str = "camera") -> RgbdCamera:
-    """A robot's camera from plain values, angles in degrees.
+    """Build a robot's camera from plain values, angles in degrees.
 
     Raises:
-        UserError: on a missing, unknown or impossible value.
+        UserError: if a value is missing, unknown or out of range.
     """
     values = dict(values)
     try:
         colour = intrinsics_of(values.pop("colour"))
-        depth = intrinsics_of(given) if (given := values.pop("depth", None)) else None
-        given = values.pop("depth_to_colour", None)
-        beside = np.eye(4) if given is None else np.array(given, np.float64)
+        depth = intrinsics_of(entry) if (entry := values.pop("depth", None)) else None
+        matrix = values.pop("depth_to_colour", None)
+        depth_to_colour = np.eye(4) if matrix is None else np.array(matrix, np.float64)
         height, tilt = (
             float(values.pop("mount_height", 1.25)),
             [float(values.pop(name, 0.0)) for name in ("pitch", "roll")],
         )
         if values:
             raise UserError(f"{origin}: got the unknown keys {', '.join(map(str, values))}")
-        return RgbdCamera(colour, depth, beside, height, *np.deg2rad(tilt).tolist())
+        return RgbdCamera(colour, depth, depth_to_colour, height, *np.deg2rad(tilt).tolist())
     except KeyError as error:
-        raise UserError(f"{origin}: has no {error}") from error
+        raise UserError(f"{origin}: key {error} is missing") from error
     except UserError:
         raise
     except (TypeError, AttributeError, ValueError) as error:
-        raise UserError(f"{origin}: holds a value that cannot be read ({error})") from error
+        raise UserError(f"{origin}: a value cannot be read ({error})") from error
 
 
 def intrinsics_of(values: Mapping[str, Any]) -> Intrinsics:
-    """Intrinsics from plain values; see `camera_of`."""
+    """Build intrinsics from plain values; see `camera_of`."""
     return Intrinsics(**{**values, "distortion": tuple(values.get("distortion") or ())})
 
 
 def mount_of(values: Mapping[str, Any]) -> tuple[str, Float64[np.ndarray, "4 4"]]:
-    """Where a camera sits on a robot that does not say so itself: the robot's frame, and the transform to it.
+    """Return the robot's frame and the transform from the camera to it, for robots that do not publish it.
 
     Args:
-        values: frame, height above it in metres, pitch and roll in degrees.
+        values: frame, height of the camera above it in metres, pitch and roll in degrees.
 
     Raises:
-        UserError: if one is missing, unknown or impossible.
+        UserError: if a value is missing, unknown or out of range.
     """
     known = {"frame", "height", "pitch", "roll"}
     try:

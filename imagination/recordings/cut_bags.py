@@ -1,6 +1,6 @@
-"""Bags without their end, as a full disk or a broken transfer leaves them: read from the beginning, up to the damage.
+"""Reader of truncated bags, as of a full disk or an interrupted transfer, from the beginning up to the damage.
 
-The library rosbags wants the index at a bag's end; here only its message definitions are used. The formats:
+rosbags needs the index at the end of a bag; here only its message definitions are used. Formats:
 https://mcap.dev/spec, https://wiki.ros.org/Bags/Format/2.0 and, for .db3, https://sqlite.org/fileformat.html.
 """
 
@@ -26,18 +26,18 @@ else:
     from backports import zstd
 
 MAX_RECORD = 2**30
-"""Bytes, and of a chunk when it is unpacked; a longer one is damage."""
+"""Largest record and largest decompressed chunk, bytes; larger sizes are damage."""
 
 DECOMPRESSORS: dict[str, Callable[[], Any]] = {
     "bz2": bz2.BZ2Decompressor,
     "lz4": lz4.frame.LZ4FrameDecompressor,
     "zstd": zstd.ZstdDecompressor,
 }
-"""By what a chunk's header says."""
+"""Decompressors by the compression name in a chunk's header."""
 
 
 class Connection(NamedTuple):
-    """What a topic holds; `definition` of the message only where the format is of ROS 1."""
+    """Topic and message type; the message `definition` only in ROS 1 bags."""
 
     topic: str
     msgtype: str
@@ -49,17 +49,17 @@ Messages = Iterator[tuple[Connection, Stamp, bytes]]
 
 
 class CutBag:
-    """What `BagRecording` needs of rosbags' reader.
+    """Reader of a truncated bag with the part of the rosbags reader's interface that `BagRecording` uses.
 
     Args:
-        path: of a file, or of a folder whose files are read one after the other.
+        path: path of a file, or of a folder whose files are read in order.
 
     Attributes:
-        connections: topics of the messages that can be read.
-        start_time: of the first of them.
+        connections: topics of the readable messages.
+        start_time: time of the first readable message.
 
     Raises:
-        Exception: of any kind, if there is none.
+        Exception: of any type, if no message is readable.
     """
 
     def __init__(self, path: Path) -> None:
@@ -69,9 +69,9 @@ class CutBag:
         self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
         connections: dict[Connection, Stamp] = {}
         try:
-            for connection, time, _ in self._every():
+            for connection, time, _ in self._all_messages():
                 connections.setdefault(connection, time)
-        except Exception:  # it shows again when they are read
+        except Exception:  # raised again when the messages are read
             if not connections:
                 raise
         self.connections, self.start_time = list(connections), min(connections.values())
@@ -80,36 +80,36 @@ class CutBag:
                 self.store.register(get_types_from_msg(connection.definition, connection.msgtype))
 
     def messages(self, connections: Sequence[Connection]) -> Messages:
-        """Messages of some topics in the order in which they were written.
+        """Iterate over the messages of some topics in the order in which they were written.
 
         Raises:
-            Exception: of any kind, where the bag ends too early.
+            Exception: of any type, where the bag is truncated.
         """
-        return (message for message in self._every() if message[0] in connections)
+        return (message for message in self._all_messages() if message[0] in connections)
 
     def deserialize(self, data: bytes, kind: str) -> Any:
-        """A message from its bytes."""
+        """Decode a message."""
         return (
             self.store.deserialize_ros1(data, kind) if self.ros1 else self.store.deserialize_cdr(data, kind)
         )
 
-    def _every(self) -> Messages:
+    def _all_messages(self) -> Messages:
         for read, file in self.parts:
             yield from read(file)
 
 
 def _in_order(file: Path) -> list[tuple[bool, int, str]]:
-    """Sorts the files of a split bag, whose names end in numbers: _2 before _10."""
+    """Return the sort key of a split bag's files, whose names end in numbers: _2 before _10."""
     parts = re.split(r"([0-9]+)", file.name)
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]
 
 
 def read_mcap(path: Path) -> Messages:
-    """Messages of an MCAP file."""
+    """Iterate over the messages of an MCAP file."""
     names: dict[int, str] = {}
     channels: dict[int, Connection] = {}
     with open(path, "rb") as file:
-        file.seek(8)  # behind the magic bytes
+        file.seek(8)  # skip the magic bytes
         for kind, body in mcap_records(file):
             if kind == 3:  # schema: number, name
                 number, size = struct.unpack_from("<HI", body)
@@ -126,13 +126,13 @@ def read_mcap(path: Path) -> Messages:
 
 
 def mcap_records(file: File, inside: bool = False) -> Iterator[tuple[int, bytes]]:
-    """Kind and content of the records that are whole, those in chunks too (of which none holds another)."""
+    """Iterate over (kind, content) of the complete records, including those in chunks (which cannot be nested)."""
     while len(head := file.read(9)) == 9:
         kind, length = struct.unpack("<BQ", head)
         body = file.read(min(length, MAX_RECORD))
         if kind == 6 and not inside:  # chunk: two times, size, checksum, compression, size
             stated, _, size = struct.unpack_from("<QII", body, 16)
-            content = unpacked(body[32 : 32 + size].decode(), body[40 + size :], stated)
+            content = decompress(body[32 : 32 + size].decode(), body[40 + size :], stated)
             yield from mcap_records(BytesIO(content), True)
         elif len(body) == length:
             yield kind, body
@@ -142,18 +142,18 @@ def mcap_records(file: File, inside: bool = False) -> Iterator[tuple[int, bytes]
 
 
 def read_ros1(path: Path) -> Messages:
-    """Messages of a ROS 1 bag."""
+    """Iterate over the messages of a ROS 1 bag."""
     connections: dict[bytes, Connection] = {}
     with open(path, "rb") as file:
         file.readline()  # the version
         for inside, header, data in ros1_records(file):
             kind = header[b"op"][0]
             if kind == 7 and inside:  # a connection
-                about = fields(data)
+                values = fields(data)
                 connections[header[b"conn"]] = Connection(
                     header[b"topic"].decode(),
-                    about[b"type"].decode().replace("/", "/msg/"),
-                    about[b"message_definition"].decode(),
+                    values[b"type"].decode().replace("/", "/msg/"),
+                    values[b"message_definition"].decode(),
                 )
             elif kind == 7:  # the index at the end
                 return
@@ -164,7 +164,7 @@ def read_ros1(path: Path) -> Messages:
 
 
 def ros1_records(file: File, inside: bool = False) -> Iterator[tuple[bool, dict[bytes, bytes], bytes]]:
-    """Whether they lie in a chunk, header and data of the records that are whole."""
+    """Iterate over (inside a chunk, header, data) of the complete records."""
     while len(start := file.read(4)) == 4:
         at = file.tell() - 4
         header = file.read(min(int.from_bytes(start, "little"), MAX_RECORD))
@@ -173,7 +173,7 @@ def ros1_records(file: File, inside: bool = False) -> Iterator[tuple[bool, dict[
         values = fields(header) if length else {}
         if values.get(b"op") == b"\5" and not inside:  # a chunk
             stated = int.from_bytes(values[b"size"], "little")
-            content = unpacked(values[b"compression"].decode(), data, stated)
+            content = decompress(values[b"compression"].decode(), data, stated)
             yield from ros1_records(BytesIO(content), True)
         elif len(data) == length:
             yield inside, values, data
@@ -183,35 +183,34 @@ def ros1_records(file: File, inside: bool = False) -> Iterator[tuple[bool, dict[
 
 
 def fields(data: bytes) -> dict[bytes, bytes]:
-    """Names and values of a header of ROS 1."""
-    found, at = {}, 0
+    """Parse the names and values of a ROS 1 header."""
+    values, at = {}, 0
     while at < len(data):
         (size,) = struct.unpack_from("<I", data, at)
         name, _, value = data[at + 4 : at + 4 + size].partition(b"=")
-        found[name] = value
+        values[name] = value
         at += 4 + size
-    return found
+    return values
 
 
 def read_sqlite(path: Path) -> Messages:
-    """Messages of a .db3 file; SQLite reads rows until it needs a page that is lost."""
+    """Iterate over the messages of a .db3 file; SQLite reads rows until it needs a missing page."""
     database = sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)
     try:
-        database.execute("PRAGMA writable_schema = ON")  # else SQLite refuses a file that lacks pages
-        about = database.execute("SELECT id, name, type FROM topics")
-        topics = {number: Connection(topic, kind) for number, topic, kind in about}
+        database.execute("PRAGMA writable_schema = ON")  # otherwise SQLite refuses a file with missing pages
+        topic_rows = database.execute("SELECT id, name, type FROM topics")
+        topics = {number: Connection(topic, kind) for number, topic, kind in topic_rows}
         rows = database.execute("SELECT topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY id")
-        before: list[
-            tuple[Connection, Stamp, bytes]
-        ] = []  # the last is not given: what it lacks may be zeros
+        # delayed by one row: missing bytes of the last row before the damage may be read as zeros
+        previous: list[tuple[Connection, Stamp, bytes]] = []
         for number, time, data in rows:
-            yield from before
-            before = [(topics[number], time, data)]
-        yield from before
+            yield from previous
+            previous = [(topics[number], time, data)]
+        yield from previous
     except (sqlite3.DatabaseError, KeyError) as error:
         size = path.stat().st_size
         raise BrokenRecordingError(
-            f"{path.name} is cut off: its {size} bytes are not all ({error})"
+            f"{path.name} is cut off: its {size} bytes are incomplete ({error})"
         ) from error
     finally:
         database.close()
@@ -222,33 +221,33 @@ FORMATS: dict[str, Callable[[Path], Messages]] = {
     ".db3": read_sqlite,
     ".bag": read_ros1,
 }
-"""By the names' endings."""
+"""Readers by file suffix."""
 
 
-def unpacked(compression: str, data: bytes, stated: int) -> bytes:
-    """What a chunk holds, as far as its bytes go.
+def decompress(compression: str, data: bytes, stated: int) -> bytes:
+    """Decompress a chunk, which may be truncated.
 
     Args:
         compression: none, bz2, lz4 or zstd.
-        data: the chunk's bytes.
-        stated: what they unpack to by the chunk's header, bytes.
+        data: compressed bytes.
+        stated: decompressed size in the chunk's header, bytes.
 
     Raises:
-        BrokenRecordingError: if they unpack to more.
+        BrokenRecordingError: if the decompressed size is larger than stated.
     """
     if compression in ("", "none"):
         return data
-    most = min(stated, MAX_RECORD)
-    found: bytes = DECOMPRESSORS[compression]().decompress(data, max_length=most + 1)
-    if len(found) > most:
+    max_size = min(stated, MAX_RECORD)
+    content: bytes = DECOMPRESSORS[compression]().decompress(data, max_length=max_size + 1)
+    if len(content) > max_size:
         raise BrokenRecordingError(
-            f"{len(data)} bytes of a chunk unpack to more than the {stated} that it states (at most {MAX_RECORD})"
+            f"{len(data)} bytes of a chunk decompress to more than the stated {stated} bytes (at most {MAX_RECORD})"
         )
-    return found
+    return content
 
 
 def cut_off(path: Path, file: BufferedReader) -> BrokenRecordingError:
-    """What to raise where a file ends too early."""
+    """Return the error of a truncated file."""
     return BrokenRecordingError(
         f"{path.name} is cut off: of its {path.stat().st_size} bytes, the records before byte {file.tell()} are whole"
     )

@@ -1,4 +1,4 @@
-"""The plain folder: images by name, a table of poses, the camera in one YAML file (docs/robot.md)."""
+"""Recordings in plain folders: image files, a table of poses and a YAML file of the camera (docs/robot.md)."""
 
 import csv
 from collections import Counter
@@ -19,26 +19,26 @@ from imagination.utils.errors import UserError, check_range
 from imagination.utils.tabular import read_yaml
 
 PLANAR, FULL = ("x", "y", "theta"), ("x", "y", "z", "qx", "qy", "qz", "qw")
-"""Columns of frames.csv: of the robot on the floor, or of the colour camera."""
+"""Pose columns of frames.csv: planar pose of the robot, or full pose of the colour camera."""
 
 
 class FolderRecording:
-    """A plain folder.
+    """Recording in a plain folder.
 
-    camera.yaml: `colour` (width, height, fx, fy, cx, cy, distortion), `depth` where that is another camera, with
-    `depth_to_colour` (4 x 4) where it is at another place; `depth_scale`; for planar poses `mount_height`, `pitch` and
+    camera.yaml: `colour` (width, height, fx, fy, cx, cy, distortion), `depth` for a separate depth camera, with
+    `depth_to_colour` (4 x 4) if its position differs; `depth_scale`; for planar poses `mount_height`, `pitch` and
     `roll` (degrees). frames.csv: time, colour, depth (paths in the folder), and x, y, theta of the robot or x, y, z,
-    qx, qy, qz, qw of the colour camera; no pose where these are empty.
+    qx, qy, qz, qw of the colour camera; empty columns mean no pose.
 
     Args:
-        path: of the folder.
-        floor_height: world z of the floor, metres, for planar poses.
+        path: path of the folder.
+        floor_height: world z of the floor for planar poses, metres.
 
     Raises:
-        UserError: if a file is missing or broken.
+        UserError: if a file is missing or damaged.
     """
 
-    world = "map"  # no file names it
+    world = "map"  # the format has no frame id
 
     def __init__(self, path: str, floor_height: float = 0.0) -> None:
         self.folder, self.floor_height = Path(path), floor_height
@@ -58,26 +58,26 @@ class FolderRecording:
         self.pose_columns = next((names for names in (FULL, PLANAR) if columns.issuperset(names)), ())
         if not self.rows or not self.pose_columns or not columns.issuperset({"time", "colour", "depth"}):
             raise UserError(
-                f"{self.folder / 'frames.csv'}: got {len(self.rows)} rows of the columns {sorted(columns)}, expected "
+                f"{self.folder / 'frames.csv'}: got {len(self.rows)} rows with the columns {sorted(columns)}, expected "
                 f"time, colour, depth and {', '.join(PLANAR)} or {', '.join(FULL)}"
             )
 
     def shots(self) -> Iterator[Shot]:
-        """The rows of frames.csv; see `Recording`."""
+        """Iterate over the rows of frames.csv; see `Recording`."""
         for number, row in enumerate(self.rows, 2):
             place = f"{self.folder / 'frames.csv'}, line {number}"
             if None in (row["time"], row["colour"], row["depth"]):
-                raise BrokenRecordingError(f"{place}: ends before time, colour and depth are given")
+                raise BrokenRecordingError(f"{place}: got too few columns, expected time, colour and depth")
             try:
                 stamp = to_stamp(row["time"])
-                given = [row[name] for name in self.pose_columns]
-                numbers = [float(text) for text in given] if all(given) else None
+                texts = [row[name] for name in self.pose_columns]
+                numbers = [float(text) for text in texts] if all(texts) else None
             except ValueError as error:
                 raise BrokenRecordingError(f"{place}: {error}") from error
             try:
                 pose = None if numbers is None else self._pose(numbers)
             except UserError:
-                self.skipped["pose that is none"] += 1
+                self.skipped["invalid pose"] += 1
                 continue
             yield Shot(stamp, pose, partial(self._load, row["colour"], row["depth"]))
 

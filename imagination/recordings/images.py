@@ -1,4 +1,4 @@
-"""Images as files and recordings hold them, to arrays: colour to RGB, depth to metres."""
+"""Decoding of recorded images to arrays: colour to RGB, depth to metres."""
 
 import struct
 from pathlib import Path
@@ -12,17 +12,17 @@ from imagination.utils.errors import UserError
 from imagination.utils.image_decoding import decode
 
 MAX_SIDE = 8192
-"""Pixels a side of an image; larger ones are refused before anything is allocated."""
+"""Largest image side, pixels; larger images are refused before any memory is allocated."""
 
 COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
-"""Of ROS' compressedDepth: format, and the two parameters of the inverse depth that float images are coded with."""
+"""Header of ROS' compressedDepth: format and the two parameters of the inverse depth coding of float images."""
 
 
 def read_colour(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     """Read an image file as RGB.
 
     Raises:
-        BrokenRecordingError: if it is missing or broken.
+        BrokenRecordingError: if the file is missing or damaged.
     """
     return decode_colour(_bytes(path), str(path))
 
@@ -31,19 +31,21 @@ def read_depth(path: Path, scale: float) -> Float32[np.ndarray, "h w"]:
     """Read a depth image: 16-bit PNG or PGM, .npy, or any image of one channel that OpenCV reads.
 
     Args:
-        path: of the file.
-        scale: units a metre; .npy files of floats hold metres, whatever it is.
+        path: path of the file.
+        scale: units per metre of integer depth; floats are metres.
 
     Raises:
-        BrokenRecordingError: if it is missing, broken or of three channels.
+        BrokenRecordingError: if the file is missing, damaged or has three channels.
     """
     if path.suffix == ".npy":
         try:
             raw = np.load(path, allow_pickle=False)
-        except Exception as error:  # NumPy raises anything on a damaged header
+        except Exception as error:  # NumPy raises many types on a damaged header
             raise BrokenRecordingError(f"{path}: cannot be read ({error})") from error
         if not isinstance(raw, np.ndarray) or raw.ndim != 2 or raw.dtype.kind not in "fiu":
-            raise BrokenRecordingError(f"{path}: is no array of numbers, expected rows x columns of depth")
+            raise BrokenRecordingError(
+                f"{path}: got no two-dimensional array of numbers, expected rows x columns of depth"
+            )
     else:
         raw = decode_depth(_bytes(path), str(path))
     return to_metres(raw, 1.0 if np.issubdtype(raw.dtype, np.floating) else scale)
@@ -53,16 +55,16 @@ def decode_colour(data: bytes, origin: str) -> UInt8[np.ndarray, "h w 3"]:
     """Decode a compressed colour image.
 
     Raises:
-        BrokenRecordingError: if it cannot be decoded.
+        BrokenRecordingError: if the data cannot be decoded.
     """
     return _decode(data, cv2.IMREAD_COLOR_RGB, origin)
 
 
 def decode_depth(data: bytes, origin: str) -> np.ndarray:
-    """Decode a compressed image of one channel, its values as they are.
+    """Decode a compressed image of one channel without converting its values.
 
     Raises:
-        BrokenRecordingError: if it cannot be decoded, or has several channels.
+        BrokenRecordingError: if the data cannot be decoded or have several channels.
     """
     image = _decode(data, cv2.IMREAD_UNCHANGED, origin)
     if image.ndim != 2 or image.dtype == np.uint8:
@@ -73,12 +75,12 @@ def decode_depth(data: bytes, origin: str) -> np.ndarray:
 
 
 def decode_compressed_depth(data: bytes, encoding: str, origin: str) -> np.ndarray:
-    """Decode ROS' compressedDepth: a header, then a PNG of the depth (16UC1) or of its inverse (32FC1).
+    """Decode ROS' compressedDepth: a header followed by a PNG of the depth (16UC1) or of its inverse (32FC1).
 
-    The format is that of the ROS package compressed_depth_image_transport.
+    See the ROS package compressed_depth_image_transport for the format.
     """
     if len(data) <= COMPRESSED_DEPTH_HEADER.size:
-        raise BrokenRecordingError(f"{origin}: {len(data)} bytes that are no compressedDepth image")
+        raise BrokenRecordingError(f"{origin}: got {len(data)} bytes, expected a compressedDepth image")
     _, a, b = COMPRESSED_DEPTH_HEADER.unpack_from(data)
     image = decode_depth(data[COMPRESSED_DEPTH_HEADER.size :], origin)
     if not encoding.startswith("32FC1"):
@@ -89,11 +91,11 @@ def decode_compressed_depth(data: bytes, encoding: str, origin: str) -> np.ndarr
 
 
 def to_metres(raw: np.ndarray, scale: float) -> Float32[np.ndarray, "h w"]:
-    """Depth in metres; holes, be they 0, NaN, infinite or negative, become 0.
+    """Convert depth to metres; holes (0, NaN, infinite or negative values) become 0.
 
     Args:
         raw: depth image.
-        scale: units a metre, e.g. 1000 for millimetres.
+        scale: units per metre, e.g. 1000 for millimetres.
     """
     depth = raw.astype(np.float32) / np.float32(scale)
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
@@ -109,5 +111,5 @@ def _decode(data: bytes, flags: int, origin: str) -> np.ndarray:
 def _bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
-    except (OSError, ValueError) as error:  # a list may name any path, one with null bytes too
+    except (OSError, ValueError) as error:  # the path in a list may be invalid, e.g. contain null bytes
         raise BrokenRecordingError(f"{path}: cannot be read ({getattr(error, 'strerror', error)})") from error

@@ -4,14 +4,17 @@ import numpy as np
 from jaxtyping import Float64
 
 from imagination.recordings.trajectory import JUMP, SECOND, SLACK, Stamp
-from imagination.utils.errors import UserError, check_range
+from imagination.utils.errors import UserError
+
+MAX_SPEED = 5.0
+"""Largest plausible speed of the camera, m/s."""
 
 
 class Order:
-    """Tells frames that come again or too late.
+    """Detects repeated and late time stamps.
 
-    One that is far behind, by more than `JUMP`, is not believed; the next one, if it is later, is: the time before was
-    stray, or the clock was set anew.
+    A stamp that is behind the last one by more than `JUMP` is rejected; if the next stamp follows it, that one is
+    accepted, because the earlier time was an outlier or the clock was reset.
     """
 
     def __init__(self) -> None:
@@ -19,7 +22,7 @@ class Order:
         self._behind: Stamp | None = None
 
     def fault(self, stamp: Stamp) -> str:
-        """Take the next time in; what is wrong with it, nothing if it is in order."""
+        """Check the next time stamp; return the reason to skip it, or an empty string."""
         if self._last is not None and stamp <= self._last:
             behind, self._behind = self._behind, stamp if self._last - stamp > JUMP * SECOND else None
             if stamp == self._last:
@@ -31,50 +34,42 @@ class Order:
 
 
 Place = tuple[Stamp, Float64[np.ndarray, " 3"]]
-"""When, and where."""
+"""Time stamp and position (x, y, z), metres."""
 
 
 class Jumps:
-    """Tells poses that no robot has reached: of lost odometry, of a stray reading.
+    """Detects implausible poses, as of lost odometry or an outlier.
 
-    The first beyond a jump is not believed; one that can be reached from there is: the robot was relocalised.
-
-    Args:
-        max_speed: metres a second; None believes every pose.
-
-    Raises:
-        UserError: if it is out of range.
+    A pose that is farther from the last one than `SLACK` and `MAX_SPEED` allow is rejected. A later pose that is
+    reachable from the rejected one is accepted, because the robot was relocalised.
     """
 
-    def __init__(self, max_speed: float | None) -> None:
-        self.max_speed = (
-            None if max_speed is None else check_range("max_speed", max_speed, 0.0, 1e4, "m/s", open_low=True)
-        )
+    def __init__(self) -> None:
         self._last: Place | None = None
-        self._stray: Place | None = None
+        self._rejected: Place | None = None
 
     def check(self, stamp: Stamp, pose: Float64[np.ndarray, "4 4"]) -> None:
-        """Take the next pose in.
+        """Check the next pose.
 
         Raises:
-            UserError: if it is not to be believed.
+            UserError: if the pose is implausible.
         """
-        here = stamp, pose[:3, 3]
-        if self._last is None or self.max_speed is None:
-            self._last = here
+        place = stamp, pose[:3, 3]
+        if self._last is None:
+            self._last = place
             return
-        before = self._last
-        reached = [_apart(one, here) for one in (before, self._stray) if one is not None]
-        if all(metres > SLACK + self.max_speed * seconds for metres, seconds in reached):
-            self._stray = here
-            (x, y, z), (u, v, w) = before[1].tolist(), here[1].tolist()
+        last = self._last
+        distances = [_distance(one, place) for one in (last, self._rejected) if one is not None]
+        if all(metres > SLACK + MAX_SPEED * seconds for metres, seconds in distances):
+            self._rejected = place
+            (x, y, z), (u, v, w) = last[1].tolist(), place[1].tolist()
             raise UserError(
-                f"pose: got ({u:.2f}, {v:.2f}, {w:.2f}) m {reached[0][1]:.2f} s after ({x:.2f}, {y:.2f}, {z:.2f}), "
-                f"expected at most {self.max_speed} m/s; if the robot was there, raise max_speed (null: any)"
+                f"pose: got ({u:.2f}, {v:.2f}, {w:.2f}) m {distances[0][1]:.2f} s after ({x:.2f}, {y:.2f}, {z:.2f}), "
+                f"expected a speed of at most {MAX_SPEED} m/s; check the odometry and the time stamps"
             )
-        self._last, self._stray = here, None
+        self._last, self._rejected = place, None
 
 
-def _apart(one: Place, other: Place) -> tuple[float, float]:
-    """Metres and seconds between two poses."""
+def _distance(one: Place, other: Place) -> tuple[float, float]:
+    """Return the distance between two poses in metres and in seconds."""
     return float(np.linalg.norm(other[1] - one[1])), abs(other[0] - one[0]) / SECOND

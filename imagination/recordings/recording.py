@@ -1,4 +1,4 @@
-"""What every recording gives: images with the camera's pose, one after the other, and a count of what was left out."""
+"""Interface of recordings: a sequence of images with camera poses, and counts of skipped entries."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -15,11 +15,11 @@ from imagination.utils.errors import UserError
 
 
 class Images(NamedTuple):
-    """What a camera took at one time.
+    """Colour and depth images of one time.
 
     Attributes:
-        rgb: colour.
-        depth: metres along the optical axis, 0 where nothing returned.
+        rgb: colour image.
+        depth: metres along the optical axis, 0 without a return.
     """
 
     rgb: UInt8[np.ndarray, "h w 3"]
@@ -27,12 +27,12 @@ class Images(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """One entry of a recording.
+    """Entry of a recording.
 
     Attributes:
-        stamp: its time.
-        camera_to_world: of the colour camera's optical frame; None if there is no pose at that time.
-        load: reads the images.
+        stamp: time stamp.
+        camera_to_world: transform of the colour camera's optical frame; None if there is no pose at that time.
+        load: function that reads the images.
     """
 
     stamp: Stamp
@@ -41,7 +41,7 @@ class Shot(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """An entry that can be mapped: see `Shot` and `Images`."""
+    """Entry that can be mapped; see `Shot` and `Images`."""
 
     stamp: Stamp
     rgb: UInt8[np.ndarray, "h w 3"]
@@ -50,17 +50,17 @@ class Frame(NamedTuple):
 
 
 class BrokenRecordingError(UserError):
-    """A recording that cannot be read any further; what came before is sound."""
+    """Damaged recording that cannot be read any further; the frames before the damage are valid."""
 
 
 @runtime_checkable
 class Recording(Protocol):
-    """A recording on disk.
+    """Recording on disk.
 
     Attributes:
-        camera: that took the images.
-        world: id of the frame that the poses are in.
-        skipped: how many entries the recording itself left out, by the reason.
+        camera: camera of the images.
+        world: id of the frame of the poses.
+        skipped: number of entries that the recording skipped, by reason.
     """
 
     camera: RgbdCamera
@@ -68,44 +68,42 @@ class Recording(Protocol):
     skipped: Counter[str]
 
     def shots(self) -> Iterator[Shot]:
-        """Its entries, in the order of the recording.
+        """Iterate over the entries in the order of the recording.
 
         Raises:
-            BrokenRecordingError: where it is damaged, with the place.
+            BrokenRecordingError: at the first damaged place, which the message names.
         """
 
 
 @dataclass
 class Frames:
-    """The frames of a recording that can be mapped, in order of time; the others are counted.
+    """Frames of a recording that can be mapped, in order of time; skipped entries are counted.
 
     Attributes:
-        recording: they come from.
-        max_speed: metres a second at which the camera may move; None: any. See `Jumps`.
-        mapped: frames given and worked up so far.
+        recording: recording of the frames.
+        mapped: number of frames that were yielded and processed so far.
     """
 
     recording: Recording
-    max_speed: float | None = None
     mapped: int = 0
     _skipped: Counter[str] = field(default_factory=Counter)
-    _refused: bool = False
+    _last_refused: bool = False
     _jump: str = ""
     _holes: int = 0
     _pixels: int = 0
 
     @property
     def skipped(self) -> Counter[str]:
-        """Entries left out, by the reason."""
+        """Number of skipped entries by reason."""
         return self.recording.skipped + self._skipped
 
     def refuse(self, reason: str) -> None:
-        """Count the frame that was given last as left out after all."""
-        self._refused = True
+        """Count the last yielded frame as skipped."""
+        self._last_refused = True
         self._skipped[reason] += 1
 
     def __iter__(self) -> Iterator[Frame]:
-        order, jumps = Order(), Jumps(self.max_speed)
+        order, jumps = Order(), Jumps()
         for shot in self.recording.shots():
             if shot.camera_to_world is None:
                 self._skipped["no pose at its time"] += 1
@@ -119,14 +117,16 @@ class Frames:
                     self._jump = self._jump or str(error)
                     continue
                 images = shot.load()
-                self._refused = False
+                self._last_refused = False
                 self._holes += images.depth.size - int(np.count_nonzero(images.depth))
                 self._pixels += images.depth.size
                 yield Frame(shot.stamp, *images, shot.camera_to_world)
-                self.mapped += not self._refused  # only now: it may have been interrupted
+                self.mapped += (
+                    not self._last_refused
+                )  # after the yield, since mapping may have been interrupted
 
     def summary(self) -> str:
-        """How many frames were mapped, what share of their depth is missing, and why others were not."""
+        """Summarize the number of mapped frames, their fraction of depth holes and the reasons of skipped frames."""
         lines = [f"{self.mapped} frames mapped, {self.skipped.total()} skipped"]
         if self._pixels:
             lines.append(f"    {self._holes / self._pixels:.1%} of their depth pixels are holes")

@@ -1,5 +1,6 @@
-"""ROS messages to arrays: images, camera_info, poses. Nothing here decodes bytes, so that ROS 1 and 2 bags, Zenoh and
-rclpy share it: all give objects with the fields of the message definitions.
+"""Conversion of decoded ROS messages to arrays: images, camera_info and poses.
+
+ROS 1 and ROS 2 bags, Zenoh and rclpy all decode to objects with the fields of the message definitions.
 """
 
 import sys
@@ -38,21 +39,21 @@ COLOURS: dict[str, tuple[int, int | None]] = {
     "mono8": (1, cv2.COLOR_GRAY2RGB),
     "8UC1": (1, cv2.COLOR_GRAY2RGB),
 }
-"""Channels of each encoding (sensor_msgs/image_encodings.hpp), and how they become RGB."""
+"""Number of channels and conversion to RGB of each encoding (sensor_msgs/image_encodings.hpp)."""
 
 DEPTHS = {"16UC1": np.uint16, "mono16": np.uint16, "32FC1": np.float32}
 
 MILLIMETRES = 1000.0
-"""Units a metre of 16-bit depth (REP 118)."""
+"""Units per metre of 16-bit depth (REP 118)."""
 
 T = TypeVar("T")
 
 
 def stamp_of(message: Any) -> Stamp:
-    """Time of a message with a header.
+    """Return the time stamp of a message with a header.
 
     Raises:
-        BrokenRecordingError: if it is none.
+        BrokenRecordingError: if the time stamp is invalid.
     """
     stamp = message.header.stamp
     if not 0 <= stamp.nanosec < SECOND:
@@ -61,10 +62,10 @@ def stamp_of(message: Any) -> Stamp:
 
 
 def colour_of(message: Any) -> UInt8[np.ndarray, "h w 3"]:
-    """Colour of an Image or a CompressedImage.
+    """Decode the colour of an Image or a CompressedImage.
 
     Raises:
-        BrokenRecordingError: if its data do not fit its size, or its encoding is unknown.
+        BrokenRecordingError: if the data do not fit the size, or the encoding is unknown.
     """
     if hasattr(message, "format"):
         return decode_colour(bytes(message.data), "CompressedImage")
@@ -78,14 +79,14 @@ def colour_of(message: Any) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def depth_of(message: Any, scale: float = MILLIMETRES) -> Float32[np.ndarray, "h w"]:
-    """Depth in metres of an Image or a CompressedImage, compressedDepth included.
+    """Decode the depth, metres, of an Image or a CompressedImage, including compressedDepth.
 
     Args:
-        message: the image.
-        scale: units a metre of 16-bit depth; floats are metres.
+        message: Image or CompressedImage.
+        scale: units per metre of 16-bit depth; floats are metres.
 
     Raises:
-        BrokenRecordingError: if its data do not fit its size, or its encoding is unknown.
+        BrokenRecordingError: if the data do not fit the size, or the encoding is unknown.
     """
     if not hasattr(message, "format"):
         if message.encoding not in DEPTHS:
@@ -101,39 +102,39 @@ def depth_of(message: Any, scale: float = MILLIMETRES) -> Float32[np.ndarray, "h
 
 
 def intrinsics_of(message: Any, rectified: bool = False) -> Intrinsics:
-    """Intrinsics in a CameraInfo; ROS 1 names its fields in capitals.
+    """Return the intrinsics of a CameraInfo, whose fields have upper-case names in ROS 1.
 
     Args:
-        message: the CameraInfo.
-        rectified: of rectified images, which have those of the matrix P and no distortion (sensor_msgs/CameraInfo).
+        message: CameraInfo.
+        rectified: whether images are rectified: matrix P and no distortion (sensor_msgs/CameraInfo).
 
     Raises:
-        UserError: if they are none, as those of a camera that was never calibrated, or its model is not a pinhole.
+        UserError: if the intrinsics are invalid (as of an uncalibrated camera) or the model is not a pinhole.
     """
     size = int(message.width), int(message.height)
     p = [float(number) for number in (message.p if hasattr(message, "p") else message.P)]
-    if rectified and p[0]:  # some drivers leave it empty
+    if rectified and p[0]:  # some drivers leave P empty
         return Intrinsics(*size, p[0], p[5], p[2], p[6])
     if message.distortion_model not in ("", "plumb_bob", "rational_polynomial"):
         raise UserError(
             f"camera_info: got distortion_model {message.distortion_model!r}, expected plumb_bob or "
-            "rational_polynomial; rectify the images before, and say so (rectified=true)"
+            "rational_polynomial; rectify the images first and set rectified=true"
         )
     k = [float(number) for number in (message.k if hasattr(message, "k") else message.K)]
     d = tuple(float(number) for number in (message.d if hasattr(message, "d") else message.D))
     return Intrinsics(*size, k[0], k[4], k[2], k[5], d if any(d) else ())
 
 
-def is_rectified(topic: str, said: bool | None) -> bool:
-    """Whether a topic's images are rectified: as the user said, else by its name, as image_proc gives it."""
-    return "image_rect" in topic if said is None else said
+def is_rectified(topic: str, setting: bool | None) -> bool:
+    """Return whether a topic's images are rectified: `setting`, or if None, by the topic name of image_proc."""
+    return "image_rect" in topic if setting is None else setting
 
 
 def transform_of(transform: Any) -> Float64[np.ndarray, "4 4"]:
-    """A geometry_msgs/Transform or /Pose as a matrix.
+    """Convert a geometry_msgs/Transform or /Pose to a matrix.
 
     Raises:
-        UserError: if it is none.
+        UserError: if the transform is invalid.
     """
     place = transform.translation if hasattr(transform, "translation") else transform.position
     turn = transform.rotation if hasattr(transform, "rotation") else transform.orientation
@@ -141,62 +142,61 @@ def transform_of(transform: Any) -> Float64[np.ndarray, "4 4"]:
 
 
 def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> np.ndarray:
-    """The data of an Image as an array (rows, columns, channels)."""
+    """Return the data of an Image as an array (rows, columns, channels)."""
     width, height, step = int(message.width), int(message.height), int(message.step)
     data = np.frombuffer(bytes(message.data), np.uint8)
     row = width * channels * dtype.itemsize
     if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE and step >= row and data.size == step * height):
         raise BrokenRecordingError(
-            f"Image: got {data.size} bytes for {width} x {height} pixels of {message.encoding} in steps of {step}, "
-            f"expected step x height, steps of at least {row} and at most {MAX_SIDE} pixels a side"
+            f"Image: got {data.size} bytes for {width} x {height} pixels of {message.encoding} with step {step}, "
+            f"expected step x height bytes, a step of at least {row} and at most {MAX_SIDE} pixels per side"
         )
     pixels = data.reshape(height, step)[:, :row].copy().view(dtype).reshape(height, width, channels)
     return pixels.byteswap() if message.is_bigendian != (sys.byteorder == "big") else pixels
 
 
 class Pairing(Generic[T]):
-    """Colour and depth that belong together, of messages that come one by one: each the nearest in time of the other.
+    """Pairs streamed colour and depth messages that are mutually nearest in time.
 
-    A pair of different times waits until nothing nearer can come.
+    A pair with different time stamps is held back until no nearer message can arrive.
 
     Args:
-        tolerance: seconds between the two, at most.
-        most: of each kind that wait for a partner.
+        tolerance: largest time difference of a pair, seconds.
+        max_waiting: largest number of waiting messages of each kind.
     """
 
-    def __init__(self, tolerance: float, most: int = 30) -> None:
-        self.tolerance, self.most = round(tolerance * SECOND), most
+    def __init__(self, tolerance: float, max_waiting: int = 30) -> None:
+        self.tolerance, self.max_waiting = round(tolerance * SECOND), max_waiting
         self.horizon = self.tolerance + round(JUMP * SECOND)
-        self._given_up = 0
+        self._dropped = 0
         self._waiting: dict[str, list[tuple[Stamp, T]]] = {"colour": [], "depth": []}  # in order of time
         self._newest: dict[str, float] = {"colour": -inf, "depth": -inf}
 
     @property
-    def alone(self) -> int:
-        """Messages that have found no partner."""
-        return self._given_up + sum(map(len, self._waiting.values()))
+    def unpaired(self) -> int:
+        """Number of messages without a partner."""
+        return self._dropped + sum(map(len, self._waiting.values()))
 
     def add(self, kind: str, stamp: Stamp, item: T) -> list[tuple[Stamp, T, T]]:
-        """Add a message of the kind `colour` or `depth`; the pairs that are clear now, as (stamp, colour, depth)."""
-        found = self.rest() if self._set_anew(stamp) else []
+        """Add a message of the kind `colour` or `depth`; return the pairs now complete, as (stamp, colour, depth)."""
+        pairs = self.flush() if self._clock_jumped(stamp) else []
         insort(self._waiting[kind], (stamp, item), key=itemgetter(0))
         self._newest[kind] = stamp
-        found += self._pairs()
-        if len(self._waiting[kind]) > self.most:
+        pairs += self._pairs()
+        if len(self._waiting[kind]) > self.max_waiting:
             self._waiting[kind].pop(0)
-            self._given_up += 1
-        return found
+            self._dropped += 1
+        return pairs
 
-    def rest(self) -> list[tuple[Stamp, T, T]]:
-        """The pairs that are left where no message comes any more."""
+    def flush(self) -> list[tuple[Stamp, T, T]]:
+        """Return the remaining pairs at the end of the stream."""
         self._newest = {"colour": inf, "depth": inf}
-        found = list(self._pairs())
+        pairs = list(self._pairs())
         self._newest = {"colour": -inf, "depth": -inf}
-        return found
+        return pairs
 
-    def _set_anew(self, stamp: Stamp) -> bool:
-        """Whether a time is so far from those before that they find no partner any more: a clock was set anew, or one
-        of the times is stray."""
+    def _clock_jumped(self, stamp: Stamp) -> bool:
+        """Return whether a time stamp is too far from earlier ones to pair (clock reset or outlier)."""
         waiting = [entry[0] for entries in self._waiting.values() for entry in entries]
         known = [time for time in self._newest.values() if time != -inf]
         return any(abs(time - stamp) > self.horizon for time in (*waiting, *known))
@@ -204,14 +204,14 @@ class Pairing(Generic[T]):
     def _pairs(self) -> Iterator[tuple[Stamp, T, T]]:
         while any(self._waiting.values()):
             first, other = sorted(self._waiting, key=self._next)
-            # to the oldest, the other's oldest is nearest
+            # the oldest message of the other kind is nearest to the oldest message
             stamp, partner = self._next(first), self._next(other)
             if partner == inf and self._newest[other] <= stamp + self.tolerance:
                 return
             apart, later = partner - stamp, self._next(first, 1)
             if apart > self.tolerance or abs(later - partner) < apart:
                 self._waiting[first].pop(0)
-                self._given_up += 1
+                self._dropped += 1
             elif apart and later == inf and self._newest[first] < partner + apart:
                 return
             else:
@@ -219,6 +219,6 @@ class Pairing(Generic[T]):
                 yield time, colour, depth
 
     def _next(self, kind: str, index: int = 0) -> float:
-        """Time of one that waits; infinity if there is none."""
+        """Return the time stamp of a waiting message; infinity if it does not exist."""
         waiting = self._waiting[kind]
         return waiting[index][0] if index < len(waiting) else inf

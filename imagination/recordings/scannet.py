@@ -1,4 +1,4 @@
-"""Folders as ScanNet's sensor files are exported: color/, depth/, pose/ and intrinsic/, one file a frame."""
+"""Recordings in folders of exported ScanNet sensor files: color/, depth/, pose/ and intrinsic/, one file per frame."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -16,27 +16,27 @@ from imagination.utils.errors import UserError, check_range
 
 
 class ScanNetRecording:
-    """A ScanNet-style folder: color/N.jpg, depth/N.png or .pgm, pose/N.txt (camera to world, 4 x 4, z up).
+    """Recording in a ScanNet folder: color/N.jpg, depth/N.png or .pgm, pose/N.txt (camera to world, 4 x 4, z up).
 
-    intrinsic/ holds intrinsic_color.txt and intrinsic_depth.txt, and, if they are not one camera, extrinsic_color.txt
-    and extrinsic_depth.txt: from each camera to the frame that the poses are of. Frames without a pose, which ScanNet
-    writes as infinity, or with a broken one are skipped.
+    intrinsic/ holds intrinsic_color.txt and intrinsic_depth.txt, and, for separate cameras, extrinsic_color.txt and
+    extrinsic_depth.txt with the transforms from each camera to the frame of the poses. Frames without a pose (infinity
+    in ScanNet) or with an invalid one are skipped.
 
     Args:
-        path: of the folder.
-        depth_scale: units of the depth images a metre.
-        rate: frames a second; the files hold no time.
+        path: path of the folder.
+        depth_scale: units per metre of the depth images.
+        rate: frames per second, since the files have no time stamps.
 
     Raises:
-        UserError: if a folder or the intrinsics are missing or broken.
+        UserError: if a folder or the intrinsics are missing or damaged.
     """
 
-    world = "map"  # no file names it
+    world = "map"  # the format has no frame id
 
     def __init__(self, path: str, depth_scale: float, rate: float) -> None:
         self.folder = Path(path)
-        self.depth_scale = check_range("recording.depth_scale", depth_scale, 1.0, 1e6, "units a metre")
-        self.rate = check_range("recording.rate", rate, 0.001, 1000.0, "frames a second")
+        self.depth_scale = check_range("recording.depth_scale", depth_scale, 1.0, 1e6, "units per metre")
+        self.rate = check_range("recording.rate", rate, 0.001, 1000.0, "frames per second")
         self.skipped: Counter[str] = Counter()
         self.colour, self.depth, self.poses = (
             numbered(self.folder / name) for name in ("color", "depth", "pose")
@@ -46,7 +46,7 @@ class ScanNetRecording:
         self.frames = sorted(self.colour.keys() & self.depth.keys())
         if not self.frames:
             raise UserError(
-                f"{self.folder}: no number is both in color/ and in depth/; expected color/0.jpg, depth/0.png"
+                f"{self.folder}: got no frame number in both color/ and depth/, expected color/0.jpg, depth/0.png"
             )
         colour, depth = (self._extrinsic(name) for name in ("color", "depth"))
         self._colour_to_pose = colour
@@ -59,12 +59,12 @@ class ScanNetRecording:
         )
 
     def shots(self) -> Iterator[Shot]:
-        """Frames by their number; see `Recording`."""
+        """Iterate over the frames by number; see `Recording`."""
         for number in self.frames:
             try:
                 pose = self._pose(number)
             except UserError:
-                self.skipped["pose that is none"] += 1
+                self.skipped["invalid pose"] += 1
                 continue
             yield Shot(round(number * SECOND / self.rate), pose, partial(self._load, number))
 
@@ -91,24 +91,24 @@ class ScanNetRecording:
 
 
 def numbered(folder: Path) -> dict[int, Path]:
-    """Files of a folder whose names are numbers.
+    """Return the files of a folder whose names are numbers, by number.
 
     Raises:
-        UserError: if there is none.
+        UserError: if the folder has no such file.
     """
-    found = {int(path.stem): path for path in folder.glob("*") if path.stem.isdecimal()}
-    if not found:
+    files = {int(path.stem): path for path in folder.glob("*") if path.stem.isdecimal()}
+    if not files:
         raise UserError(
-            f"{folder}: holds no file named by a number; expected color/0.jpg, depth/0.png, pose/0.txt and on"
+            f"{folder}: got no file with a number as name, expected color/0.jpg, depth/0.png, pose/0.txt and so on"
         )
-    return found
+    return files
 
 
 def read_matrix(path: Path) -> Float64[np.ndarray, "4 4"]:
-    """Read 4 x 4 numbers, or 3 x 3 as the upper left of such.
+    """Read a 4 x 4 matrix, or a 3 x 3 matrix as the upper left block of one.
 
     Raises:
-        UserError: if the file is missing or holds something else.
+        UserError: if the file is missing or has other content.
     """
     try:
         numbers = np.array(

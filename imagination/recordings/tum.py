@@ -1,4 +1,4 @@
-"""Folders as the TUM RGB-D benchmark has them (Sturm et al. 2012): rgb.txt, depth.txt and groundtruth.txt."""
+"""Recordings in folders of the TUM RGB-D benchmark (Sturm et al. 2012): rgb.txt, depth.txt and groundtruth.txt."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -15,33 +15,33 @@ from imagination.utils.errors import UserError, check_range
 
 
 class Entry(NamedTuple):
-    """A line of a list: its time and what follows."""
+    """Line of a list: the time stamp and the remaining values."""
 
     stamp: Stamp
     values: list[str]
 
 
 class TumRecording:
-    """A TUM RGB-D folder. Its poses are those of the colour camera, in six degrees of freedom, z up.
+    """Recording in a TUM RGB-D folder, with poses of the colour camera in six degrees of freedom, z up.
 
     Args:
-        path: of the folder.
-        camera: that took the images; the benchmark's files do not hold it.
-        depth_scale: units of the depth images a metre.
-        max_difference: seconds between a colour image and its depth image, at most.
-        max_gap: seconds between two poses over which none is interpolated.
+        path: path of the folder.
+        camera: camera of the images, which the benchmark's files do not contain.
+        depth_scale: units per metre of the depth images.
+        max_difference: largest time difference between a colour image and its depth image, seconds.
+        max_gap: largest gap between two poses that is interpolated, seconds.
 
     Raises:
-        UserError: if a list is missing, broken or empty.
+        UserError: if a list is missing, damaged or empty.
     """
 
-    world = "map"  # no file names it
+    world = "map"  # the format has no frame id
 
     def __init__(
         self, path: str, camera: RgbdCamera, depth_scale: float, max_difference: float, max_gap: float
     ) -> None:
         self.folder, self.camera = Path(path), camera
-        self.depth_scale = check_range("recording.depth_scale", depth_scale, 1.0, 1e6, "units a metre")
+        self.depth_scale = check_range("recording.depth_scale", depth_scale, 1.0, 1e6, "units per metre")
         check_range("recording.max_difference", max_difference, 0.0, 10.0, "s")
         check_range("recording.max_gap", max_gap, 0.0, 3600.0, "s")
         self.skipped: Counter[str] = Counter()
@@ -56,7 +56,7 @@ class TumRecording:
             self.skipped["repeated pose"] += self.trajectory.repeated
 
     def shots(self) -> Iterator[Shot]:
-        """The pairs of images in order of the colour images; see `Recording`."""
+        """Iterate over the pairs of images in order of the colour images; see `Recording`."""
         for colour, depth in self.pairs:
             pose = self.trajectory.at(colour.stamp)
             yield Shot(colour.stamp, pose, partial(self._load, colour.values[0], depth.values[0]))
@@ -68,17 +68,17 @@ class TumRecording:
         try:
             numbers = [float(text) for text in entry.values]
             self.trajectory.add(entry.stamp, matrix_of(numbers[:3], numbers[3:7]))
-        except ValueError:  # a UserError about the numbers is one too
-            self.skipped["pose that is none"] += 1
+        except ValueError:  # includes UserError
+            self.skipped["invalid pose"] += 1
 
     def _list(self, name: str) -> list[Entry]:
-        """The lines of a list in order of time; those that repeat a time or go back are counted and left out."""
+        """Read the lines of a list in order of time; repeated and earlier time stamps are skipped and counted."""
         path = self.folder / name
         try:
             lines = path.read_text().splitlines()
         except (OSError, UnicodeDecodeError) as error:
             raise UserError(
-                f"{path}: cannot be read; a TUM folder has rgb.txt, depth.txt and groundtruth.txt"
+                f"{path}: cannot be read ({error}); a TUM folder has rgb.txt, depth.txt and groundtruth.txt"
             ) from error
         entries = []
         last = None
@@ -99,15 +99,15 @@ class TumRecording:
                 entries.append(Entry(stamp, words[1:]))
             last = stamp
         if not entries:
-            raise UserError(f"{path}: holds no entry, expected lines of a time stamp and what belongs to it")
+            raise UserError(f"{path}: got no entry, expected lines of a time stamp and its values")
         return entries
 
 
 def to_stamp(text: str) -> Stamp:
-    """Seconds as text, to nanoseconds, without the rounding of a float.
+    """Convert seconds as text to nanoseconds without float rounding.
 
     Raises:
-        ValueError: if it is no finite number.
+        ValueError: if the text is not a finite number.
     """
     whole, _, part = text.partition(".")
     if not (whole.lstrip("-").isdigit() and (part.isdigit() or not part)):
@@ -120,13 +120,13 @@ def to_stamp(text: str) -> Stamp:
 
 
 def associate(colour: list[Entry], depth: list[Entry], tolerance: int) -> list[tuple[Entry, Entry]]:
-    """Pairs of entries that are nearest in time, each entry once, the closest pairs first (as the benchmark's tool)."""
+    """Pair entries that are nearest in time, each entry once, closest pairs first (as the benchmark's associate.py)."""
     candidates = []
     first = 0
     depth = sorted(depth)
     for i, entry in enumerate(colour):
         while first and depth[first - 1].stamp >= entry.stamp - tolerance:
-            first -= 1  # colour may go back in time
+            first -= 1  # colour time stamps may decrease
         while first < len(depth) and depth[first].stamp < entry.stamp - tolerance:
             first += 1
         for j in range(first, len(depth)):

@@ -1,4 +1,4 @@
-"""What a sweep's report tells: its members, and each ablation as a table and a plot."""
+"""Content of a sweep's report: its jobs, and each ablation as a table and a plot."""
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +10,7 @@ from imagination.evaluation.records import Key
 from imagination.evaluation.single_views import ranked_by
 from imagination.reporting.content import Content, Drawing, Plain, Section, as_yaml, facts, trainings
 from imagination.reporting.figures.scores import Point, draw_ablation
-from imagination.reporting.load_run import Results, Runs
+from imagination.reporting.load_run import Results, TrialCounts
 from imagination.reporting.load_sweep import Job, Multirun
 from imagination.reporting.paper_layout import Cell, Column, Layout, Line, bootstrap, cell_of
 from imagination.reporting.style import label
@@ -18,29 +18,29 @@ from imagination.utils.tabular import read_yaml
 
 
 def of_multirun(sweep: Multirun) -> Content:
-    """Everything that a sweep has to tell."""
-    measured = [job for job in sweep.read if job.results and job.results.counts]
-    first = _results([*measured, *sweep.read][0])
+    """Return the content of a sweep's report."""
+    evaluated = [job for job in sweep.readable if job.results and job.results.counts]
+    first = _results([*evaluated, *sweep.readable][0])
     problems = [
-        f"member {job.number} ({_told(sweep.values(job))}) is {job.state}: {job.reason}"
+        f"job {job.number} ({_assignments(sweep.values(job))}): {job.state}; {job.reason}"
         for job in sweep.jobs
         if job.state != "complete"
     ]
     keys = ", ".join(sweep.swept) or "nothing"
-    done = sum(job.state == "complete" for job in sweep.jobs)
-    told = [("Swept", keys), ("Members", f"{len(sweep.jobs)}, {done} complete"), *facts(first)[1:]]
-    sections = [Section("Members", plain=(Plain("What was swept, and what came of it", _rows(sweep)),))]
-    if measured and sweep.swept:
+    complete = sum(job.state == "complete" for job in sweep.jobs)
+    properties = [("Swept", keys), ("Jobs", f"{len(sweep.jobs)}, {complete} complete"), *facts(first)[1:]]
+    sections = [Section("Jobs", plain=(Plain("Swept values and state of each job", _rows(sweep)),))]
+    if evaluated and sweep.swept:
         sections.append(Section(
             "Ablation",
             f"Pooled IoU with {CONFIDENCE:.0%} intervals over scenes.",
-            layouts=tuple(_layouts(sweep, measured)),
-            drawings=tuple(_drawings(sweep, measured)),
+            layouts=tuple(_layouts(sweep, evaluated)),
+            drawings=tuple(_drawings(sweep, evaluated)),
         ))  # fmt: skip
     title = f"Sweep of {first.name}"
     return Content(
         title,
-        [("Folder", str(sweep.folder)), *told],
+        [("Folder", str(sweep.folder)), *properties],
         problems,
         sections,
         _commands(sweep, first),
@@ -49,155 +49,160 @@ def of_multirun(sweep: Multirun) -> Content:
 
 
 def _rows(sweep: Multirun) -> list[dict[str, str]]:
+    """Return the table of the jobs."""
     return [
-        {"member": each.number, **sweep.values(each), "state": each.state, "reason": each.reason}
-        for each in sweep.jobs
+        {"job": job.number, **sweep.values(job), "state": job.state, "reason": job.reason}
+        for job in sweep.jobs
     ]
 
 
-def _layouts(sweep: Multirun, measured: Sequence[Job]) -> Iterator[Layout]:
-    """One table, a block for each approach and a line for each member."""
-    every = [key for each in measured for key in _results(each).counts]
-    widths = sorted({key.cell_width for key in every}, reverse=True)
-    categories = list(dict.fromkeys(key.category for key in every))
+def _layouts(sweep: Multirun, jobs: Sequence[Job]) -> Iterator[Layout]:
+    """Yield the table with a block for each approach and a line for each job."""
+    keys = [key for job in jobs for key in _results(job).counts]
+    widths = sorted({key.cell_width for key in keys}, reverse=True)
+    categories = list(dict.fromkeys(key.category for key in keys))
     columns = [Column(width, category) for width in widths for category in categories]
     blocks = []
-    for approach in dict.fromkeys(key.approach for key in every):
+    for approach in dict.fromkeys(key.approach for key in keys):
         lines = [
             Line(
-                _told(sweep.values(each)),
-                [cell_of(_results(each), Key(approach, at.category, at.cell_width), "iou") for at in columns],
+                _assignments(sweep.values(job)),
+                [cell_of(_results(job), Key(approach, at.category, at.cell_width), "iou") for at in columns],
             )
-            for each in measured
+            for job in jobs
         ]
-        blocks.append((label(approach), _best_validated(measured, approach, columns, lines)))
+        blocks.append((label(approach), _mark_best_validated(jobs, approach, columns, lines)))
     note = (
-        "Pooled over runs, with intervals over scenes; of each block and category what was best on validation scenes is "
-        "bold, since test scenes choose nothing."
+        "Pooled over trials, with intervals over scenes. In each block and category the job with the highest IoU on "
+        "validation scenes is bold; test scenes select nothing."
     )
-    if any(len(_truths(measured, at)) > 1 for at in columns):
-        note += (
-            " Members are measured against different truths, so their IoU tells nothing of which is better."
-        )
-    yield Layout("ablation", "IoU of the global map by what was swept", note, columns, blocks, ".3f")
+    if any(len(_gt_pixels(jobs, at)) > 1 for at in columns):
+        note += " The jobs have different ground truth, so their IoU cannot be compared."
+    yield Layout("ablation", "IoU of the global map by swept value", note, columns, blocks, ".3f")
 
 
-def _best_validated(
-    measured: Sequence[Job], approach: str, columns: Sequence[Column], lines: Sequence[Line]
+def _mark_best_validated(
+    jobs: Sequence[Job], approach: str, columns: Sequence[Column], lines: Sequence[Line]
 ) -> list[Line]:
-    """Lines with the member in bold whose IoU on validation scenes is highest, unless all are equal or truths differ."""
-    changed = [list(line.cells) for line in lines]
+    """Mark the job with the highest IoU on validation scenes, unless all are equal or their ground truth differs."""
+    marked = [list(line.cells) for line in lines]
     for place, at in enumerate(columns):
-        found = [_results(each).validated.get((approach, at.category)) for each in measured]
+        scores = [_results(job).validated.get((approach, at.category)) for job in jobs]
         values = {
-            row: value for row, value in enumerate(found) if value is not None and lines[row].cells[place]
+            row: value for row, value in enumerate(scores) if value is not None and lines[row].cells[place]
         }
-        if len(_truths(measured, at)) == 1 and len(set(values.values())) > 1:
+        if len(_gt_pixels(jobs, at)) == 1 and len(set(values.values())) > 1:
             for row, value in values.items():
                 if value == max(values.values()) and (cell := lines[row].cells[place]):
-                    changed[row][place] = cell._replace(strong=True)
-    return [line._replace(cells=cells) for line, cells in zip(lines, changed, strict=True)]
+                    marked[row][place] = cell._replace(strong=True)
+    return [line._replace(cells=cells) for line, cells in zip(lines, marked, strict=True)]
 
 
-def _truths(measured: Sequence[Job], at: Column) -> set[tuple[tuple[str, int], ...]]:
-    """What members are measured against in a column: the pixels of truth of each scene."""
-    found = set()
-    for each in measured:
-        runs = [
-            runs
-            for key, runs in _results(each).counts.items()
-            if (key.cell_width, key.category) == (at.cell_width, at.category)
-        ]
-        if runs:
-            found.add(
-                tuple(sorted({scene: int(pixels[2]) for (scene, _), pixels in runs[0].items()}.items()))
-            )
-    return found
+def _gt_pixels(jobs: Sequence[Job], at: Column) -> set[tuple[tuple[str, int], ...]]:
+    """Return the distinct ground truths of the jobs in a column, as pixels of each scene."""
+    distinct = set()
+    for job in jobs:
+        trials = next(
+            (
+                trials
+                for key, trials in _results(job).counts.items()
+                if (key.cell_width, key.category) == (at.cell_width, at.category)
+            ),
+            {},
+        )
+        if trials:
+            pixels = {scene: int(counts[2]) for (scene, _), counts in trials.items()}
+            distinct.add(tuple(sorted(pixels.items())))
+    return distinct
 
 
-def _drawings(sweep: Multirun, measured: Sequence[Job]) -> Iterator[Drawing]:
-    """A figure for each category and each key that was swept.
+def _drawings(sweep: Multirun, jobs: Sequence[Job]) -> Iterator[Drawing]:
+    """Yield a figure for each category and swept key.
 
-    Lines are approaches where one key was swept, else what else was swept, for the approach that ranks.
+    With one swept key the lines are the approaches. With several keys the lines are the values of the other keys, for
+    the ranking approach.
     """
-    categories = dict.fromkeys(key.category for each in measured for key in _results(each).counts)
-    approaches = list(dict.fromkeys(key.approach for each in measured for key in _results(each).counts))
+    categories = dict.fromkeys(key.category for job in jobs for key in _results(job).counts)
+    approaches = list(dict.fromkeys(key.approach for job in jobs for key in _results(job).counts))
     for key, category in product(sweep.swept, categories):
         several = len(sweep.swept) > 1
         shown = [ranked_by(approaches)] if several else approaches
         panels = {
             title: lines
-            for title, width in _panels(measured).items()
-            if (lines := _lines(sweep, measured, key, category, shown, width))
+            for title, width in _panels(jobs).items()
+            if (lines := _lines(sweep, jobs, key, category, shown, width))
         }
         if not panels:
-            continue  # no member has both the category and the approach
-        what = f" ({label(shown[0])})" if several else ""
+            continue  # no job has both the category and the approach
+        approach = f" ({label(shown[0])})" if several else ""
         stem = "".join(letter if letter.isalnum() else "_" for letter in key)
         yield Drawing(
             f"ablation_{stem}_{category}",
-            f"{category}{what}: pooled IoU over {key}.",
+            f"{category}{approach}: pooled IoU over {key}.",
             partial(draw_ablation, panels, key, "pooled IoU"),
             wide=len(panels) > 1,
         )
 
 
-def _panels(measured: Sequence[Job]) -> dict[str, float | None]:
-    """Cell widths that all members have; where they have none in common, all widths of each together."""
-    sets = [{key.cell_width for key in _results(each).counts} for each in measured]
+def _panels(jobs: Sequence[Job]) -> dict[str, float | None]:
+    """Return the cell widths common to all jobs by panel title; without common widths one panel of all widths."""
+    sets = [{key.cell_width for key in _results(job).counts} for job in jobs]
     common = sorted(set.intersection(*sets), reverse=True)
     return {f"cell width {width:g} m": width for width in common} or {"all cell widths together": None}
 
 
 def _lines(
     sweep: Multirun,
-    measured: Sequence[Job],
+    jobs: Sequence[Job],
     key: str,
     category: str,
     approaches: Sequence[str],
     width: float | None,
 ) -> dict[str, list[Point]]:
+    """Return the points of each line of a panel."""
     lines: dict[str, list[Point]] = {}
-    for each, approach in product(measured, approaches):
-        values = sweep.values(each)
-        rest = _told({other: value for other, value in values.items() if other != key})
-        if (cell := _cell(_results(each), approach, category, width)) is not None:
-            lines.setdefault(rest or approach, []).append((values[key], cell.value, cell.low, cell.high))
+    for job, approach in product(jobs, approaches):
+        values = sweep.values(job)
+        others = _assignments({other: value for other, value in values.items() if other != key})
+        if (cell := _cell(_results(job), approach, category, width)) is not None:
+            lines.setdefault(others or approach, []).append((values[key], cell.value, cell.low, cell.high))
     return lines
 
 
 def _cell(results: Results, approach: str, category: str, width: float | None) -> Cell | None:
+    """Return the pooled IoU at a cell width, or over all cell widths if it is None."""
     if width is not None:
         return cell_of(results, Key(approach, category, width), "iou")
-    runs: Runs = {
+    trials: TrialCounts = {
         (scene, number + 1000 * place): pixels
         for place, at in enumerate(results.cell_widths)
         for (scene, number), pixels in results.counts.get(Key(approach, category, at), {}).items()
     }
-    if not runs:
+    if not trials:
         return None
-    samples, value = bootstrap(results, runs, "iou")
+    samples, value = bootstrap(results, trials, "iou")
     return Cell(value, *interval(samples))
 
 
-def _results(each: Job) -> Results:
-    assert each.results is not None
-    return each.results
+def _results(job: Job) -> Results:
+    assert job.results is not None
+    return job.results
 
 
 def _commands(sweep: Multirun, first: Results) -> list[str]:
-    """What an evaluation's networks were trained with, the sweep as its multirun.yaml has it, and the report."""
+    """Return the commands of the training of evaluated networks, of the sweep and of the report."""
     report = shlex.join(["python", "-m", "imagination.report", str(sweep.folder)])
     try:
-        asked = read_yaml(sweep.folder / "multirun.yaml")["hydra"]
-        given = [text for text in asked["overrides"]["task"] if not text.startswith("sweep_dir=")]
-        swept = shlex.join(["python", "-m", f"imagination.{asked['job']['name']}", "-m", *given])
-    except Exception:  # missing or damaged
-        told = str(first.provenance.get("command", "")).split()  # a search leaves no such file
-        swept = " ".join(text for text in told if "sweep_dir=" not in text)
-        swept = swept if "imagination.train" in swept or "imagination.evaluate" in swept else ""
-    return [*(trainings(first) if "ckpt" in first.config else []), *filter(None, [swept]), report]
+        hydra = read_yaml(sweep.folder / "multirun.yaml")["hydra"]
+        overrides = [text for text in hydra["overrides"]["task"] if not text.startswith("sweep_dir=")]
+        command = shlex.join(["python", "-m", f"imagination.{hydra['job']['name']}", "-m", *overrides])
+    except Exception:  # missing or damaged; a search writes no such file
+        words = str(first.provenance.get("command", "")).split()
+        command = " ".join(word for word in words if "sweep_dir=" not in word)
+        command = command if "imagination.train" in command or "imagination.evaluate" in command else ""
+    return [*(trainings(first) if "ckpt" in first.config else []), *filter(None, [command]), report]
 
 
-def _told(values: Mapping[str, str]) -> str:
+def _assignments(values: Mapping[str, str]) -> str:
+    """Format values as key=value, separated by commas."""
     return ", ".join(f"{key}={value}" for key, value in values.items())

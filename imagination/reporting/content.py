@@ -1,4 +1,4 @@
-"""What a report shows of one run: tables, figures and how to make it again, apart from how a page is set."""
+"""Content of the report of one run: tables, figures and commands, independent of the page format."""
 
 import re
 import shlex
@@ -15,28 +15,29 @@ from imagination.reporting import paper_layout, training_curves
 from imagination.reporting.figures import maps
 from imagination.reporting.figures.curves import draw_curves
 from imagination.reporting.figures.scores import draw_distribution, draw_precision_recall, draw_reliability
-from imagination.reporting.figures.views import draw_singles
-from imagination.reporting.load_run import ConfusionCounts, Results, Row, missing_maps
+from imagination.reporting.figures.views import draw_single_views
+from imagination.reporting.load_run import ConfusionCounts, Results, missing_maps
 from imagination.reporting.paper_layout import Layout
 from imagination.reporting.style import MEANINGS, label
 from imagination.runs import sweep_jobs
+from imagination.utils.tabular import Row
 
-TOLD = ("mapping.csv", "paired.csv", "trials.csv", SCENES, TABLE)
-"""Tables that other parts of the report are made of."""
+PRIMARY_TABLES = ("mapping.csv", "paired.csv", "trials.csv", SCENES, TABLE)
+"""Files whose content other sections of the report show."""
 
 TITLES = {
     "ego.csv": "Single views of test scenes: the unit's scores",
-    "training.csv": "Networks: what they were trained on, and how well they do on single views",
+    "training.csv": "Networks: training data and IoU on single views",
     "furniture.csv": "Scenes with known and with unseen furniture",
 }
-"""Of further tables; others go by their file's name."""
+"""Titles of further tables; the title of any other table is its file name."""
 
 MAX_ROWS = 200
-"""Of a further table; longer ones stay in their files."""
+"""Maximum number of rows of a further table in the report."""
 
 
 class Drawing(NamedTuple):
-    """A figure: its name, what it shows, and what draws it; `wide` ones keep their size on a phone."""
+    """Figure of a report: name, caption and drawing function; `wide` figures keep their size on a phone."""
 
     stem: str
     caption: str
@@ -45,19 +46,19 @@ class Drawing(NamedTuple):
 
     @property
     def file(self) -> str:
-        """Name of its files without their endings: categories come from tables, and may hold anything."""
+        """File name without suffix; names of categories come from tables and can contain any character."""
         return re.sub(r"[^\w.+-]", "_", self.stem)[:50]
 
 
 class Plain(NamedTuple):
-    """A table as it stands in a file."""
+    """Table with the rows of a file."""
 
     title: str
     rows: list[Row]
 
 
 class Section(NamedTuple):
-    """A part of a report."""
+    """Section of a report."""
 
     title: str
     note: str = ""
@@ -67,15 +68,15 @@ class Section(NamedTuple):
 
 
 class Content(NamedTuple):
-    """A report.
+    """Content of a report.
 
     Attributes:
-        title: of the run or sweep.
-        facts: what it is, in pairs.
-        problems: what is missing or damaged.
-        sections: tables and figures.
-        commands: that make it again.
-        config: resolved, as YAML.
+        title: name of the run or sweep.
+        facts: properties of the run as pairs of name and value.
+        problems: messages on missing or damaged parts.
+        sections: sections with tables and figures.
+        commands: commands that reproduce the results and the report.
+        config: resolved config as YAML.
     """
 
     title: str
@@ -87,34 +88,36 @@ class Content(NamedTuple):
 
 
 def of_run(results: Results) -> Content:
-    """Everything that a run's folder has to tell."""
-    made = [
+    """Return the content of a run's report."""
+    sections = [
         Section("Global maps", layouts=tuple(paper_layout.tables(results)), plain=tuple(_meanings(results))),
         Section(
-            "Distributions over runs",
-            "A run is one scene and viewpoint set. Boxes span the quartiles, whiskers reach the last run within "
-            "1.5 times that, dots are runs.",
+            "Distributions over trials",
+            "A trial is one viewpoint set of one scene. Boxes span the quartiles, whiskers extend to the last trial "
+            "within 1.5 times the interquartile range, dots are trials.",
             drawings=tuple(_distributions(results)),
         ),
         Section("Whole maps", drawings=tuple(_maps(results))),
-        Section("Single predictions", _ranking(results), drawings=tuple(_singles(results))),
+        Section("Single views", _ranking(results), drawings=tuple(_single_views(results))),
         Section(
             "Precision, recall and reliability",
-            "Rings mark the thresholds chosen on validation scenes. Cells with a score below .01 are left out of "
-            "reliability.",
+            "Rings mark the thresholds selected on validation scenes. Reliability leaves out cells with a score below "
+            ".01.",
             drawings=tuple(_scores(results)),
         ),
         Section("Training", drawings=tuple(_training(results))),
         Section("More tables", plain=tuple(_further(results))),
     ]
-    kept = [section for section in made if section.layouts or section.drawings or section.plain]
-    return Content(results.name, facts(results), results.problems, kept, commands(results), as_yaml(results))
+    filled = [section for section in sections if section.layouts or section.drawings or section.plain]
+    return Content(
+        results.name, facts(results), results.problems, filled, commands(results), as_yaml(results)
+    )
 
 
 def facts(results: Results) -> list[tuple[str, str]]:
-    """What the run is, and on what it ran."""
+    """Return the properties of the run and of the machine."""
     config, origin = results.config, results.provenance
-    found = {
+    properties = {
         "Folder": str(results.folder),
         "Categories": ", ".join(map(str, config.get("unit_categories") or [])),
         "Scenes": f"{results.source}, {len(results.scenes)} of the test split",
@@ -125,62 +128,68 @@ def facts(results: Results) -> list[tuple[str, str]]:
         "Evaluation took": f"{float(origin['seconds']):.0f} s" if "seconds" in origin else "",
         "Sensor": str(origin.get("sensor", "")),
     }
-    return [(name, value) for name, value in found.items() if value]
+    return [(name, value) for name, value in properties.items() if value]
 
 
 def commands(results: Results) -> list[str]:
-    """How the run is made again, with the packages that requirements.lock pins."""
-    made, told = trainings(results), str(results.provenance.get("command", ""))
-    if told and "imagination.train" not in told:
-        made.append(told)
-    return [*made, shlex.join(["python", "-m", "imagination.report", str(results.folder)])]
+    """Return the commands that reproduce the run with the packages pinned in requirements.lock."""
+    reproduce, command = trainings(results), str(results.provenance.get("command", ""))
+    if command and "imagination.train" not in command:
+        reproduce.append(command)
+    return [*reproduce, shlex.join(["python", "-m", "imagination.report", str(results.folder)])]
 
 
 def trainings(results: Results) -> list[str]:
-    """The commands that trained the networks."""
+    """Return the commands that trained the networks."""
     return [command for run in results.trained if (command := _training_of(run))]
 
 
 def _training_of(run: Results) -> str:
-    """As it was given; what was chosen, of a run that was resumed, was a sweep's member or did not end."""
-    told = str(run.provenance.get("command", ""))
-    alone = not (run.folder.parent / sweep_jobs.FILE).is_file()
-    if alone and "imagination.train" in told and not any(mark in told for mark in ("resume=", "ckpt_path=")):
-        return told
-    chosen = [str(text) for text in run.config.get("choices") or []]
-    return shlex.join(["python", "-m", "imagination.train", *chosen]) if chosen else ""
+    """Return the command of a training.
+
+    This is the recorded command, or the overrides of a run that was resumed, is a sweep's job or did not end.
+    """
+    command = str(run.provenance.get("command", ""))
+    in_sweep = (run.folder.parent / sweep_jobs.FILE).is_file()
+    resumed = any(key in command for key in ("resume=", "ckpt_path="))
+    if "imagination.train" in command and not in_sweep and not resumed:
+        return command
+    overrides = [str(text) for text in run.config.get("choices") or []]
+    return shlex.join(["python", "-m", "imagination.train", *overrides]) if overrides else ""
 
 
 def as_yaml(results: Results) -> str:
-    """The resolved config, keys in the order of its file."""
+    """Return the resolved config as YAML, with the keys in the order of its file."""
     return yaml.safe_dump(results.config, sort_keys=False, allow_unicode=True)
 
 
 def _meanings(results: Results) -> Iterator[Plain]:
+    """Yield the table that explains the approaches."""
     rows = [
         {"approach": label(name), "meaning": MEANINGS[name]}
         for name in results.approaches
         if name in MEANINGS
     ]
     if rows:
-        yield Plain("What the rows mean", rows)
+        yield Plain("Approaches", rows)
 
 
 def _distributions(results: Results) -> Iterator[Drawing]:
-    for measure, what in (("iou", "IoU"), ("correct_pixels", "Correctly predicted pixels")):
+    """Yield box plots over trials."""
+    for measure, name in (("iou", "IoU"), ("correct_pixels", "Correctly predicted pixels")):
         for category in results.categories:
             yield Drawing(
                 f"distribution_{measure}_{category}",
-                f"{what} of each run by approach and cell width, {category}.",
+                f"{name} of each trial by approach and cell width, {category}.",
                 partial(draw_distribution, results.counts, category, measure),
             )
 
 
 def _maps(results: Results) -> Iterator[Drawing]:
-    """Drawn from saved maps; from none where none are."""
+    """Yield the figures of saved maps; without saved maps report the problem."""
     if not results.maps:
         if results.counts:
-            results.problems.append("maps/ is missing: maps, viewpoints, precision and recall are not drawn")
+            results.problems.append("maps/ is missing: maps, viewpoints, precision and recall are left out")
         return
     results.problems += missing_maps(results.counts, results.maps)
     for category in results.categories:
@@ -189,121 +198,128 @@ def _maps(results: Results) -> Iterator[Drawing]:
         for width in widths[-1:]:
             yield Drawing(
                 f"maps_{category}",
-                f"Maps of {category} at a cell width of {width:g} m: the run whose IoU by {ranking} is the median.",
+                f"Maps of {category} at a cell width of {width:g} m: the trial with the median IoU of {ranking}.",
                 partial(maps.draw_typical, results.maps, category, [width]),
                 wide=True,
             )
     yield Drawing(
         "viewpoints",
-        "Sparse viewpoints (Algorithm 1) and the headings taken there, on the map of the scene with most of them.",
+        "Sparse viewpoints (Algorithm 1) and their headings, on the map of the scene with most viewpoints.",
         partial(maps.draw_viewpoints, results.maps),
         wide=True,
     )
 
 
 def _ranking(results: Results) -> str:
-    views, _ = results.singles
+    """Return the note on the selection of single views."""
+    views, _ = results.single_views
     if not views:
         return ""
     return (
         f"The best, the median and the worst view of the test scenes by IoU of "
-        f"{label(ranked_by(list(views[0].predicted)))} with V_label, among views with at least "
-        f"{MIN_LABEL:g} m² of label; of equals that with the most. Each approach draws from this view alone, with the "
-        "threshold of its global map. The triangle is the robot, looking up."
+        f"{label(ranked_by(list(views[0].predicted)))} with V_label, among views with a label of at least "
+        f"{MIN_LABEL:g} m²; ties go to the largest label. Each approach uses this view alone, with the threshold of "
+        "its global map. The triangle is the robot, which faces up."
     )
 
 
-def _singles(results: Results) -> Iterator[Drawing]:
-    views, resolution = results.singles
+def _single_views(results: Results) -> Iterator[Drawing]:
+    """Yield the figures of single views."""
+    views, resolution = results.single_views
     if not views and results.counts:
-        results.problems.append(f"{FILE} is missing or holds none: single predictions are not drawn")
+        results.problems.append(f"{FILE} is missing or empty: single views are left out")
     for category in dict.fromkeys(view.category for view in views):
-        of = [view for view in views if view.category == category]
+        shown = [view for view in views if view.category == category]
         yield Drawing(
             f"single_{category}",
-            f"Single predictions of {category}.",
-            partial(draw_singles, of, resolution),
+            f"Predictions from single views, {category}.",
+            partial(draw_single_views, shown, resolution),
             wide=True,
         )
 
 
 def _scores(results: Results) -> Iterator[Drawing]:
-    chosen: dict[tuple[str, str], float] = {}
+    """Yield the figures of precision, recall and reliability."""
+    selected: dict[tuple[str, str], float] = {}
     if results.maps:
         first = results.maps[0]
-        chosen = {
+        selected = {
             (name, category): first.threshold[place, layer].item() / 100
             for place, name in enumerate(first.approaches)
             for layer, category in enumerate(first.categories)
         }
-    pooled, views = maps.tallies(results.maps), results.view_tallies
-    of_views = {
-        (name, of): confusion_counts for (name, part, of), confusion_counts in views.items() if part == "all"
+    pooled, views = maps.counts_by_threshold(results.maps), results.view_counts
+    by_approach = {
+        (name, category): counts
+        for (name, part, category), counts in views.items()
+        if part == "all" and name != "network"
     }
-    by_approach = {key: confusion_counts for key, confusion_counts in of_views.items() if key[0] != "network"}
     network = {
-        (part, of): confusion_counts
-        for (name, part, of), confusion_counts in views.items()
-        if name == "network"
+        (part, category): counts for (name, part, category), counts in views.items() if name == "network"
     }
-    for stem, what, tallies in (("maps", "global maps", pooled), ("views", "single views", by_approach)):
-        for category, lines in _by_category(tallies).items():
-            thresholds = {name: value for (name, of), value in chosen.items() if of == category}
+    for stem, source, groups in (("maps", "global maps", pooled), ("views", "single views", by_approach)):
+        for category, lines in _by_category(groups).items():
+            thresholds = {name: value for (name, other), value in selected.items() if other == category}
             yield Drawing(
                 f"precision_recall_{stem}_{category}",
-                f"Precision over recall of {what}, {category}: all runs together, at every threshold.",
-                partial(draw_precision_recall, lines, thresholds, f"{category}, {what}"),
+                f"Precision over recall of {source}, {category}: all trials pooled, at every threshold.",
+                partial(draw_precision_recall, lines, thresholds, f"{category}, {source}"),
             )
     for category, lines in _by_category(pooled).items():
         yield Drawing(
             f"reliability_maps_{category}",
-            f"Scores of global maps before the threshold, and how often they are right, {category}.",
+            f"Reliability of the scores of global maps before the threshold, {category}.",
             partial(draw_reliability, lines, f"{category}, global maps"),
         )
     for category, lines in _by_category(network).items():
         ordered = {part: lines[part] for part in CELLS if part in lines}
         yield Drawing(
             f"reliability_network_{category}",
-            f"The network's probabilities in single views, and how often they are right, {category}.",
+            f"Reliability of the network's probabilities in single views, {category}.",
             partial(draw_reliability, ordered, f"{category}, the network in single views"),
         )
 
 
-def _by_category(tallies: Mapping[tuple[str, str], ConfusionCounts]) -> dict[str, dict[str, ConfusionCounts]]:
-    found: dict[str, dict[str, ConfusionCounts]] = {}
-    for (name, category), confusion_counts in tallies.items():
-        found.setdefault(category, {})[name] = confusion_counts
-    return found
+def _by_category(groups: Mapping[tuple[str, str], ConfusionCounts]) -> dict[str, dict[str, ConfusionCounts]]:
+    """Group counts by name and category into counts by category, then by name."""
+    by_category: dict[str, dict[str, ConfusionCounts]] = {}
+    for (name, category), counts in groups.items():
+        by_category.setdefault(category, {})[name] = counts
+    return by_category
 
 
 def _charts(results: Results) -> list[training_curves.Chart]:
-    """The curves of a run; of an evaluation, those of its networks side by side."""
+    """Return the training curves of a run, or those of an evaluation's networks in common charts."""
     logged = [(run, run.folder / training_curves.FOLDER) for run in results.trained]
     logged = [(run, folder) for run, folder in logged if folder.is_dir()]
     if results.trained != [results]:
         curves = [(run.name, run.predicts, training_curves.read(folder)) for run, folder in logged]
         return training_curves.compared(curves)
-    found = [chart for _, folder in logged for chart in training_curves.charts(training_curves.read(folder))]
-    if logged and not found:
+    charts = [chart for _, folder in logged for chart in training_curves.charts(training_curves.read(folder))]
+    if logged and not charts:
         results.problems.append(
-            f"{training_curves.FOLDER}/ holds no curves: its event files are missing or damaged"
+            f"{training_curves.FOLDER}/ contains no curves: its event files are missing or damaged"
         )
-    return found
+    return charts
 
 
 def _training(results: Results) -> Iterator[Drawing]:
+    """Yield the figures of training curves."""
     for chart in _charts(results):
         yield Drawing(
             chart.stem,
-            f"{chart.title} over updates of the weights.",
-            partial(draw_curves, chart.curves, chart.title, "update", chart.up),
+            f"{chart.title} over optimizer steps.",
+            partial(draw_curves, chart.curves, chart.title, "optimizer step", chart.ylabel),
         )
 
 
 def _further(results: Results) -> Iterator[Plain]:
+    """Yield the tables that no other section shows."""
     for path in sorted((results.folder / "tables").glob("*.csv")):
-        made = path.name.startswith(("iou", "correct_pixels.", "paired_"))  # by an earlier report
-        if path.name not in TOLD and not made:
+        from_report = path.name.startswith(
+            ("iou", "correct_pixels.", "paired_")
+        )  # written by an earlier report
+        if path.name not in PRIMARY_TABLES and not from_report:
             rows = results.table(path.name)
             if 0 < len(rows) <= MAX_ROWS:
                 yield Plain(TITLES.get(path.name, path.name), rows)

@@ -1,26 +1,22 @@
-"""Credits of the models and scans that the scenes of an evaluation hold: tables/credits.csv."""
+"""Credits of the models and scans in the scenes of an evaluation: tables/credits.csv."""
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
 from imagination.scenes.source import Credit
 from imagination.utils.atomic_io import write_text
+from imagination.utils.tabular import csv_text
 
 
 def write(folder: Path, credits: Sequence[Credit]) -> None:
-    """Write credits.csv; nothing if there are no credits.
+    """Write credits.csv, unless there are no credits.
 
     Args:
-        folder: tables/ of the results.
-        credits: of the scene source.
+        folder: folder tables/ of the results.
+        credits: credits of the scene source.
 
     Raises:
         UserError: if the disk is full.
     """
     if credits:
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerows([Credit._fields, *credits])
-        write_text(folder / "credits.csv", text.getvalue())
+        write_text(folder / "credits.csv", csv_text([Credit._fields, *credits]))

@@ -1,4 +1,4 @@
-"""A report as one HTML page that needs nothing else, and its tables and figures as files."""
+"""Report as one self-contained HTML page, and its tables and figures as files."""
 
 import base64
 from collections.abc import Iterator
@@ -19,17 +19,17 @@ from imagination.reporting.style import THEMES, theme
 from imagination.utils.atomic_io import write_text
 
 PAGE = "report.html"
-"""In the folder that is reported on."""
+"""File name of the page in the folder of the run or sweep."""
 
 DPI = 120
-"""Of figures in the page."""
+"""Resolution of figures in the page, dots per inch."""
 
 
 def write(folder: Path, content: Content) -> Path:
-    """Write report.html, and its tables (CSV, Markdown, LaTeX) and figures (PNG, PDF) beside it.
+    """Write report.html, the tables (CSV, Markdown, LaTeX) in tables/ and the figures (PNG, PDF) in figures/.
 
     Raises:
-        UserError: if the disk is full or may not be written.
+        UserError: if the disk is full or the folder cannot be written.
     """
     write_tables(folder / "tables", content)
     write_figures(folder / "figures", content)
@@ -39,7 +39,7 @@ def write(folder: Path, content: Content) -> Path:
 
 
 def write_tables(folder: Path, content: Content) -> None:
-    """Each table in the paper's layout as CSV, Markdown and LaTeX."""
+    """Write each table in the paper's layout as CSV, Markdown and LaTeX."""
     for section in content.sections:
         for table in section.layouts:
             write_text(folder / f"{table.stem}.csv", paper_layout.to_csv(table))
@@ -48,7 +48,7 @@ def write_tables(folder: Path, content: Content) -> None:
 
 
 def write_figures(folder: Path, content: Content, kinds: tuple[str, ...] = ("png", "pdf")) -> None:
-    """Each figure as files, for a light page."""
+    """Write each figure in the light theme."""
     for drawing in drawings(content):
         with themed("light"):
             figure = drawing.draw()
@@ -57,17 +57,17 @@ def write_figures(folder: Path, content: Content, kinds: tuple[str, ...] = ("png
 
 
 def drawings(content: Content) -> Iterator[Drawing]:
-    """All figures of a report."""
+    """Return all figures of a report."""
     return (drawing for section in content.sections for drawing in section.drawings)
 
 
 def html(content: Content) -> str:
-    """The page: pictures inside it, nothing loaded, no scripts; all text escaped."""
+    """Render the page: embedded figures, no external resources, no scripts, all text escaped."""
     return environment().get_template("page.html.j2").render(content=content, picture=picture, colours=THEMES)
 
 
 def environment() -> Environment:
-    """Templates of this package; text is escaped in those of pages."""
+    """Return the Jinja environment of this package's templates; HTML templates escape text."""
     loader = PackageLoader("imagination.reporting", "templates")
     return Environment(
         loader=loader,
@@ -79,20 +79,20 @@ def environment() -> Environment:
 
 
 def picture(drawing: Drawing) -> Markup:
-    """A figure in both themes, as an element of the page."""
-    found = {}
+    """Return a figure in both themes as an HTML element."""
+    sources = {}
     for name in THEMES:
         figure, content = png(drawing, name, DPI)
-        found[name] = f"data:image/png;base64,{base64.b64encode(content).decode()}"
+        sources[name] = f"data:image/png;base64,{base64.b64encode(content).decode()}"
         width, height = (figure.get_size_inches() * 96).round().astype(int).tolist()
-    return Markup(  # Markup escapes what it formats
+    return Markup(  # Markup.format escapes its arguments
         '<picture><source media="(prefers-color-scheme: dark)" srcset="{}">'
         '<img src="{}" alt="{}" width="{}" height="{}"></picture>'
-    ).format(found["dark"], found["light"], drawing.caption, width, height)
+    ).format(sources["dark"], sources["light"], drawing.caption, width, height)
 
 
 def png(drawing: Drawing, theme: str, dpi: int) -> tuple[Figure, bytes]:
-    """A figure, and its picture as PNG."""
+    """Draw a figure; return it and its PNG image."""
     file = BytesIO()
     with themed(theme):
         figure = drawing.draw()
@@ -103,6 +103,6 @@ def png(drawing: Drawing, theme: str, dpi: int) -> tuple[Figure, bytes]:
 
 @contextmanager
 def themed(name: str) -> Iterator[None]:
-    """Draw and save figures for a light or a dark page; names from tables are text, whatever signs they hold."""
+    """Apply the light or dark theme to figures, without math in their text: names from tables are plain text."""
     with theme(name), mpl.rc_context({"text.parse_math": False}):
         yield

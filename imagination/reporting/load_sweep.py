@@ -1,4 +1,4 @@
-"""A sweep's folder: its members and what was swept."""
+"""Reader of a sweep's folder: its jobs and the swept values."""
 
 import csv
 import json
@@ -18,100 +18,105 @@ from imagination.runs import sweep_jobs
 from imagination.utils.errors import UserError
 from imagination.utils.tabular import read_csv, read_yaml
 
-WHERE_AND_HOW = ("paths", "choices", "callbacks", "logger", "sweep_dir")
-"""Nodes of a config that say where and how a member ran; they differ between members or follow from others."""
+EXECUTION_NODES = ("paths", "choices", "callbacks", "logger", "sweep_dir")
+"""Nodes of a config on the execution of a job; they differ between jobs or depend on other nodes."""
 
 
 MAX_JOBS = 100_000
-"""Of a sweep, as its files may ask for them."""
+"""Maximum number of jobs that the files of a sweep may define."""
 
 
 class Job(NamedTuple):
-    """One run of a sweep.
+    """Job of a sweep.
 
     Attributes:
         number: name of its folder.
-        results: what its folder holds; None if there is nothing to read.
+        results: contents of its folder; None if they cannot be read.
         state: complete, incomplete, failed, unfinished or missing.
-        reason: in a line, unless it is complete.
-        asked: its overrides that were swept, where they are known.
+        reason: reason for the state, one line; empty if complete.
+        requested: swept overrides that the sweep requested; empty if unknown.
     """
 
     number: str
     results: Results | None
     state: str
     reason: str
-    asked: dict[str, str]
+    requested: dict[str, str]
 
 
 class Multirun:
-    """A sweep's folder.
+    """Contents of a sweep's folder.
 
     Args:
-        folder: with a numbered folder for each member.
+        folder: folder with a numbered folder for each job.
 
     Raises:
-        UserError: if none of them can be read.
+        UserError: if the config of no job can be read.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        listed = list_of(folder / sweep_jobs.FILE)
-        asked = [asked for asked, _, _ in listed] or grid(folder / "multirun.yaml")
-        last = max([len(asked) - 1, *numbered(folder)])
+        listed = read_jobs(folder / sweep_jobs.FILE)
+        requested = [overrides for overrides, _, _ in listed] or grid(folder / "multirun.yaml")
+        last = max([len(requested) - 1, *numbered(folder)])
         self.jobs = [
-            job(
+            read_job(
                 folder / str(number),
-                asked[number] if number < len(asked) else {},
+                requested[number] if number < len(requested) else {},
                 listed[number][1:] if number < len(listed) else ("", ""),
             )
             for number in range(last + 1)
         ]
-        if not self.read:
-            raise UserError(f"report: none of the {len(self.jobs)} members of {folder} has a config to read")
+        if not self.readable:
+            raise UserError(
+                f"report: got {folder}, none of whose {len(self.jobs)} jobs has a readable config; report on a sweep "
+                "with at least one"
+            )
 
     @property
-    def read(self) -> list[Job]:
-        """Members whose config can be read."""
+    def readable(self) -> list[Job]:
+        """Jobs whose config can be read."""
         return [job for job in self.jobs if job.results is not None]
 
     @cached_property
     def swept(self) -> dict[str, dict[str, str]]:
-        """The value of everything that was swept, by key and number of the member."""
-        configs = {job.number: job.results.config for job in self.read if job.results}
-        by_choice = {number: _choices(config) for number, config in configs.items()}
-        if found := _differing(by_choice):
-            return found
-        by_key = {number: _values(config) for number, config in configs.items()}
-        return _independent(_differing(by_key))
+        """Swept values by key and number of the job."""
+        configs = {job.number: job.results.config for job in self.readable if job.results}
+        overrides = {number: _choices(config) for number, config in configs.items()}
+        if swept := _differing(overrides):
+            return swept
+        values = {number: _values(config) for number, config in configs.items()}
+        return _independent(_differing(values))
 
     def values(self, job: Job) -> dict[str, str]:
-        """What was swept of one member; of one that left no config, as its sweep asked for it."""
-        return {key: of.get(job.number, job.asked.get(key, "?")) for key, of in self.swept.items()}
+        """Return the swept values of a job; without a config, those that the sweep requested."""
+        return {
+            key: values.get(job.number, job.requested.get(key, "?")) for key, values in self.swept.items()
+        }
 
 
 def is_multirun(folder: Path) -> bool:
-    """Whether a folder is a sweep's: it has numbered folders, and no config of its own."""
+    """Return whether a folder is that of a sweep, which contains numbered folders."""
     return bool(numbered(folder))
 
 
 def numbered(folder: Path) -> list[int]:
-    """Numbers of the folders in it that are named by one."""
+    """Return the numbers of the numbered folders in a folder."""
     names = [path.name for path in folder.iterdir() if path.is_dir() and path.name.isdecimal()]
     return [number for number in map(int, names) if number < MAX_JOBS]
 
 
 def grid(path: Path) -> list[dict[str, str]]:
-    """The overrides of every member that a sweep's multirun.yaml asks for, in the order of their numbers.
+    """Return the overrides of every job of a sweep's multirun.yaml, ordered by number.
 
-    Empty where there is no such file or its sweeper is not Hydra's own, whose members are known beforehand.
+    The list is empty without such a file, or if the sweeper is not Hydra's BasicSweeper, whose jobs form a grid.
     """
     try:
-        asked = read_yaml(path)["hydra"]
-        if not asked["sweeper"]["_target_"].endswith("BasicSweeper"):
+        hydra = read_yaml(path)["hydra"]
+        if not hydra["sweeper"]["_target_"].endswith("BasicSweeper"):
             return []
-        texts = [*(f"{key}={value}" for key, value in (asked["sweeper"]["params"] or {}).items())]
-        texts += asked["overrides"]["task"]
+        texts = [*(f"{key}={value}" for key, value in (hydra["sweeper"]["params"] or {}).items())]
+        texts += hydra["overrides"]["task"]
         parsed = [
             each for each in OverridesParser.create().parse_overrides(texts) if each.is_sweep_override()
         ]
@@ -119,90 +124,96 @@ def grid(path: Path) -> list[dict[str, str]]:
             [(each.key_or_group, text) for text in islice(each.sweep_string_iterator(), MAX_JOBS)]
             for each in parsed
         ]
-        return [dict(choice) for choice in islice(product(*lists), MAX_JOBS)]
-    except Exception:  # missing or damaged: then the folders alone tell
+        return [dict(overrides) for overrides in islice(product(*lists), MAX_JOBS)]
+    except Exception:  # missing or damaged: the folders alone define the jobs
         return []
 
 
-def list_of(path: Path) -> list[tuple[dict[str, str], str, str]]:
-    """Overrides, state and problem of each member, in the order of their folders, as a sweep's jobs.csv has them.
+def read_jobs(path: Path) -> list[tuple[dict[str, str], str, str]]:
+    """Read overrides, state and problem of each job from a sweep's jobs.csv, ordered by folder.
 
-    Empty where there is no such file.
+    The list is empty without such a file.
 
     Raises:
-        UserError: if it is damaged.
+        UserError: if the file is damaged.
     """
     if not path.is_file():
         return []
     try:
         rows = sorted(read_csv(path), key=lambda row: int(row["folder"]))
-        told = [(_overrides(shlex.split(row["overrides"])), row["state"], row["problem"]) for row in rows]
+        jobs = [(_overrides(shlex.split(row["overrides"])), row["state"], row["problem"]) for row in rows]
     except (ValueError, KeyError, csv.Error) as error:
         raise UserError(
-            f"sweep {path}: is damaged ({error}); delete it to go by the folders alone"
+            f"sweep {path}: is damaged ({error}); delete it to report on the folders alone"
         ) from error
-    every = {str(number): values for number, (values, _, _) in enumerate(told)}
-    kept = _differing(every)
+    swept = _differing({str(number): overrides for number, (overrides, _, _) in enumerate(jobs)})
     return [
-        ({key: of[str(number)] for key, of in kept.items()}, state, problem)
-        for number, (_, state, problem) in enumerate(told)
+        ({key: values[str(number)] for key, values in swept.items()}, state, problem)
+        for number, (_, state, problem) in enumerate(jobs)
     ]
 
 
-def job(folder: Path, asked: dict[str, str], told: tuple[str, ...] = ("", "")) -> Job:
-    """One member, and how far it came; `told` is its state and problem as the sweep itself has them."""
-    state, problem = told
+def read_job(folder: Path, requested: dict[str, str], listed: tuple[str, ...] = ("", "")) -> Job:
+    """Read a job and determine its state.
+
+    Args:
+        folder: folder of the job.
+        requested: swept overrides that the sweep requested.
+        listed: state and problem of the job in jobs.csv.
+    """
+    state, problem = listed
     if state == "failed":
-        with suppress(UserError):  # it left no config, or a damaged one
-            return Job(folder.name, Results(folder), "failed", problem, asked)
-        return Job(folder.name, None, "failed", problem, asked)
+        with suppress(UserError):  # no config, or a damaged one
+            return Job(folder.name, Results(folder), "failed", problem, requested)
+        return Job(folder.name, None, "failed", problem, requested)
     if not folder.is_dir():
-        return Job(folder.name, None, "missing", "has no folder: it was never started, or was deleted", asked)
+        return Job(folder.name, None, "missing", "no folder: it was never started, or was deleted", requested)
     try:
         results = Results(folder)
     except UserError as error:
-        return Job(folder.name, None, "failed", str(error).partition(";")[0], asked)
+        return Job(folder.name, None, "failed", str(error).partition(";")[0], requested)
     if results.counts and not results.problems:
-        return Job(folder.name, results, "complete", "", asked)
+        return Job(folder.name, results, "complete", "", requested)
     if results.counts:
-        return Job(folder.name, results, "incomplete", "; ".join(results.problems), asked)
+        return Job(folder.name, results, "incomplete", "; ".join(results.problems), requested)
     log = folder / "run.log"
     text = log.read_text(errors="replace") if log.is_file() else ""
     if "The run failed" in text:
-        return Job(folder.name, results, "failed", text.strip().splitlines()[-1], asked)
-    return Job(folder.name, results, "unfinished", "left no results: it still runs, or was stopped", asked)
+        return Job(folder.name, results, "failed", text.strip().splitlines()[-1], requested)
+    return Job(folder.name, results, "unfinished", "no results: it still runs, or was stopped", requested)
 
 
 def _choices(config: Mapping[str, Any]) -> dict[str, str]:
-    """A member's own overrides, by key."""
+    """Return the overrides of a job by key."""
     return _overrides([str(text) for text in config.get("choices") or []])
 
 
 def _overrides(texts: Sequence[str]) -> dict[str, str]:
+    """Split overrides into keys and values."""
     parts = [text.lstrip("+~").partition("=") for text in texts]
     return {key: value for key, _, value in parts}
 
 
 def _differing(by_number: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
-    """Keys whose value differs between members."""
+    """Return the keys whose value differs between jobs, with their values by number of the job."""
     keys = dict.fromkeys(key for values in by_number.values() for key in values)
-    found = {key: {number: values.get(key, "–") for number, values in by_number.items()} for key in keys}
-    return {key: of for key, of in found.items() if len(set(of.values())) > 1}
+    by_key = {key: {number: values.get(key, "–") for number, values in by_number.items()} for key in keys}
+    return {key: values for key, values in by_key.items() if len(set(values.values())) > 1}
 
 
-def _independent(found: Mapping[str, dict[str, str]]) -> dict[str, dict[str, str]]:
-    """Of keys that tell the members apart in the same way, as references do, the one highest in the config."""
-    kept: dict[tuple[int, ...], str] = {}
-    for key in sorted(found, key=lambda key: (key.count("."), len(key))):
-        values = list(found[key].values())
-        kept.setdefault(tuple(values.index(value) for value in values), key)
-    return {key: found[key] for key in kept.values()}
+def _independent(swept: Mapping[str, dict[str, str]]) -> dict[str, dict[str, str]]:
+    """Remove keys that partition the jobs like another key, such as references; keep the one highest in the config."""
+    by_partition: dict[tuple[int, ...], str] = {}
+    for key in sorted(swept, key=lambda key: (key.count("."), len(key))):
+        values = list(swept[key].values())
+        by_partition.setdefault(tuple(values.index(value) for value in values), key)
+    return {key: swept[key] for key in by_partition.values()}
 
 
 def _values(config: Mapping[str, Any]) -> dict[str, str]:
-    """A member's config as text, without where and how it ran."""
-    told = {node: value for node, value in config.items() if node not in WHERE_AND_HOW}
+    """Return a job's config as text by key, without the nodes on its execution."""
+    settings = {node: value for node, value in config.items() if node not in EXECUTION_NODES}
     return {
         key: value if isinstance(value, str) else json.dumps(value, default=str)
-        for key, value in leaves(told)
+        for key, value in leaves(settings)
     }

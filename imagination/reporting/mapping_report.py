@@ -1,4 +1,4 @@
-"""The written report of an evaluation: its tables as files, and beside them what a reader must know about them."""
+"""Files of an evaluation's tables (CSV, Markdown) with their explanations and provenance."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -17,18 +17,18 @@ from imagination.utils.atomic_io import write_text
 from imagination.utils.tabular import Row, to_csv, to_markdown
 
 PROVENANCE = "provenance.json"
-"""In tables/: where the numbers come from."""
+"""File in tables/ with the provenance of the numbers."""
 
 
 class Provenance(NamedTuple):
-    """Where a report's numbers come from.
+    """Provenance of a report's numbers.
 
     Attributes:
-        command: that made them.
-        seed: of the run that trained.
-        hardware: that it ran on.
-        seconds: of wall time that evaluation took.
-        sensor: what all approaches looked through, see `declared_sensor`.
+        command: command of the evaluation.
+        seed: seed of the training run.
+        hardware: hardware and precision of the evaluation.
+        seconds: wall time of the evaluation, seconds.
+        sensor: description of the sensor by `declared_sensor`.
     """
 
     command: str
@@ -38,12 +38,12 @@ class Provenance(NamedTuple):
     sensor: str
 
 
-class Beside(NamedTuple):
-    """Tables beside that of the maps.
+class FurtherTables(NamedTuple):
+    """Data of further tables.
 
     Attributes:
-        training: what the networks were trained on and how well they do on single views.
-        known: the same approaches in scenes with furniture as in training; None if there are none.
+        training: rows on the training of the networks and their IoU on single views.
+        known: results in scenes with training furniture; None if not evaluated.
     """
 
     training: Sequence[Row] = ()
@@ -56,12 +56,12 @@ def write_tables(
     protocol: MappingProtocol,
     resolution: float,
     origin: Provenance,
-    beside: Beside | None = None,
+    further: FurtherTables | None = None,
 ) -> None:
-    """Write the tables into `folder`, each whole or not at all.
+    """Write the tables into `folder`, each atomically.
 
-    These are mapping.csv, paired.csv, trials.csv, mapping.md and provenance.json, and where there is something to say
-    training.csv and furniture.csv.
+    These are mapping.csv, paired.csv, trials.csv, mapping.md and provenance.json, and training.csv and furniture.csv if
+    `further` has data for them.
     """
     mapping = mapping_rows(report, protocol, resolution)
     paired = paired_rows(report, protocol)
@@ -73,32 +73,32 @@ def write_tables(
         "# Mapping from sparse viewpoints",
         to_markdown(mapping, MAIN),
         _averages(report, protocol),
-        *(_in_pairs(paired) if paired else []),
-        *_beside(folder, report, protocol, beside or Beside()),
-        "## How it was made",
-        _circumstances(mapping, report, protocol, origin),
+        *(_paired_differences(paired) if paired else []),
+        *_write_further(folder, report, protocol, further or FurtherTables()),
+        "## Provenance",
+        _provenance(mapping, report, protocol, origin),
     ]
     write_text(folder / "mapping.md", "\n\n".join(parts) + "\n")
 
 
 def declared_sensor(setting: Setting, approaches: Mapping[str, Approach]) -> str:
-    """What decides how much a view can tell, for all approaches and for those that project segmentation."""
+    """Describe the sensor and egocentric map of all approaches, and the limits of those that project segmentation."""
     camera, ego = setting.camera, setting.ego
-    said = (
+    description = (
         f"{camera.width} x {camera.height} pixels, field of view {degrees(camera.field_of_view):.0f} degrees, "
         f"{camera.mount_height:g} m above the floor; egocentric map of {ego.cells * ego.resolution:.2f} m a side, "
         f"cells of {ego.resolution:g} m"
     )
     for name, approach in approaches.items():
         if isinstance(evidence := approach.evidence, ProjectedSegmentation):
-            limit = "none but that map" if isinf(evidence.max_range) else f"{evidence.max_range:g} m"
+            limit = "the egocentric map" if isinf(evidence.max_range) else f"{evidence.max_range:g} m"
             band = f"{evidence.low:g} to {evidence.high:g} m above the floor"
-            said += f"; {name} projects returns {band}, range limit {limit}"
-    return said
+            description += f"; {name} projects returns {band}, range limit {limit}"
+    return description
 
 
 def _averages(report: Report, protocol: MappingProtocol) -> str:
-    """What is averaged over what, and what is left out."""
+    """Explain the averages of the table and the scenes left out."""
     left_out = "; ".join(
         f"{category}: {len(names)} of {len(names) + len(report.scenes[category])}"
         for category, names in report.left_out.items()
@@ -107,51 +107,54 @@ def _averages(report: Report, protocol: MappingProtocol) -> str:
     empty = sum(len(distances) == 0 for distances in report.snap_distances)
     views = sum(map(len, report.snap_distances)) * protocol.orientations
     return (
-        f"A run is one scene, cell width and viewpoint set; each cell width has {protocol.viewpoint_sets} sets a scene, "
-        f"with {protocol.orientations} random headings a viewpoint ({views} views in all). Truth is M_gt of the whole "
-        "scene, seen or not. `iou_pooled` divides the correct pixels of all runs by the union's, `iou_mean` is the mean "
-        f"of the runs' IoU, and pixels are summed over runs. The {CONFIDENCE:.0%} intervals of `iou_pooled` come from "
-        f"{protocol.resamples} bootstrap resamples of scenes. Scenes without the category are left out ({left_out}). "
-        f"{empty} of {sets} viewpoint sets are empty, the cell width being large for the scene, and count with "
-        "empty maps."
+        f"A trial is one scene, cell width and viewpoint set; each cell width has {protocol.viewpoint_sets} sets per "
+        f"scene, with {protocol.orientations} random headings per viewpoint ({views} views in all). The ground truth "
+        "is M_gt of the whole scene, seen and unseen. `iou_pooled` divides the correct pixels of all trials by the "
+        "pixels of the union, `iou_mean` is the mean IoU over trials, and pixels are summed over trials. The "
+        f"{CONFIDENCE:.0%} intervals of `iou_pooled` come from {protocol.resamples} bootstrap resamples of scenes. "
+        f"Scenes without the category are left out ({left_out}). {empty} of {sets} viewpoint sets are empty because "
+        "the cell width is large for the scene, and count with empty maps."
     )
 
 
-def _in_pairs(paired: list[Row]) -> list[str]:
+def _paired_differences(paired: list[Row]) -> list[str]:
+    """Return the section of paired differences."""
     return [
-        "## In pairs",
+        "## Paired differences",
         to_markdown(paired, list(paired[0])),
-        f"Differences of `iou_pooled`, with {CONFIDENCE:.0%} intervals over scenes resampled in pairs.",
+        f"Differences of `iou_pooled`, with {CONFIDENCE:.0%} intervals over scenes (paired bootstrap).",
     ]
 
 
-def _beside(folder: Path, report: Report, protocol: MappingProtocol, beside: Beside) -> list[str]:
-    """Write the tables beside that of the maps, and give their text."""
+def _write_further(
+    folder: Path, report: Report, protocol: MappingProtocol, further: FurtherTables
+) -> list[str]:
+    """Write the further tables and return their sections."""
     parts = []
-    if beside.training:
-        write_text(folder / "training.csv", to_csv(beside.training))
+    if further.training:
+        write_text(folder / "training.csv", to_csv(further.training))
         parts += [
             "## Networks",
-            to_markdown(beside.training, list(beside.training[0])),
-            "Rounds, samples, distinct views and minutes of training; the best IoU of single views on validation scenes "
-            "(of a unit's egocentric maps, of a segmentation network's images), and of the latter on the images that "
-            "are mapped here.",
+            to_markdown(further.training, list(further.training[0])),
+            "Epochs, samples, distinct views and minutes of training; best IoU on single views of validation scenes "
+            "(of egocentric maps for a unit, of images for a segmentation network); IoU of a segmentation network on "
+            "the images of this evaluation.",
         ]
-    if beside.known is not None:
-        rows = furniture_rows(report, beside.known, protocol)
+    if further.known is not None:
+        rows = furniture_rows(report, further.known, protocol)
         write_text(folder / "furniture.csv", to_csv(rows))
         parts += [
             "## Known and unseen furniture",
             to_markdown(rows, list(rows[0])),
-            "`known`: scenes that were not trained on, with furniture drawn as training's; `unseen`: the test scenes.",
+            "`known`: scenes with training furniture that were not trained on; `unseen`: the test scenes.",
         ]
     return parts
 
 
-def _circumstances(mapping: list[Row], report: Report, protocol: MappingProtocol, origin: Provenance) -> str:
-    """Sensor, registration, choices, seed, hardware, time and command, as a list."""
+def _provenance(mapping: list[Row], report: Report, protocol: MappingProtocol, origin: Provenance) -> str:
+    """List sensor, registration, selected thresholds, seed, hardware, time and command."""
     rules = ", ".join(f"{name} by {approach.rule}" for name, approach in protocol.approaches.items())
-    order = max(abs(float(row["iou_pooled"]) - float(row["iou_shuffled"])) for row in mapping)
+    order_effect = max(abs(float(row["iou_pooled"]) - float(row["iou_shuffled"])) for row in mapping)
     distances = np.concatenate(report.snap_distances)
     moved = distances.mean() if len(distances) else 0.0
     postprocessing = {
@@ -160,18 +163,18 @@ def _circumstances(mapping: list[Row], report: Report, protocol: MappingProtocol
         "dilate": ", dilated by {:g} m",
         "ground_truth": " within the ground truth",
     }
-    chosen = "; ".join(
-        f"{name} ({category}) threshold {choice.threshold:.2f}"
-        + postprocessing[protocol.approaches[name].postprocess].format(choice.kernel)
-        for (name, category), choice in report.choices.items()
+    thresholds = "; ".join(
+        f"{name} ({category}) threshold {selected.threshold:.2f}"
+        + postprocessing[protocol.approaches[name].postprocess].format(selected.kernel)
+        for (name, category), selected in report.selected.items()
     )
     return "\n".join(
         [
             f"- Sensor, the same for all approaches: {origin.sensor}.",
             f"- Registration: {rules}; views in viewpoint order, then orientation. In a random order `iou_pooled` "
-            f"changes by {order:.4f} at most. Viewpoints were moved {moved:.2f} m on average to free space.",
-            f"- Chosen on validation scenes by pooled IoU at all cell widths together: {chosen}.",
-            f"- Seed of the run {origin.seed}, of viewpoints, headings and bootstrap {protocol.seed}.",
+            f"changes by {order_effect:.4f} at most. Viewpoints were moved {moved:.2f} m on average to free space.",
+            f"- Selected on validation scenes by IoU pooled over all cell widths: {thresholds}.",
+            f"- Seed of the training run {origin.seed}, of viewpoints, headings and bootstrap {protocol.seed}.",
             f"- {origin.hardware}; evaluation took {origin.seconds:.0f} s of wall time.",
             f"- Command: `{origin.command}`",
         ]

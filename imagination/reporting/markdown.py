@@ -1,4 +1,4 @@
-"""A report as a page of Markdown for the documentation, with its figures in a folder of the page's name."""
+"""Report as a Markdown page for the documentation, with its figures in a folder of the same name."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ def write(stem: Path, content: Content) -> Path:
     """Write `stem`.md, and the figures as PNG into `stem`/.
 
     Raises:
-        UserError: if the disk is full or may not be written.
+        UserError: if the disk is full or the folder cannot be written.
     """
     html.write_figures(stem, content, kinds=("png",))
     text = (

@@ -1,12 +1,12 @@
-"""The paper's own results, on Matterport3D: its tables "IoU of the Global Map" and "Number of Correct Pixels"."""
+"""Results of the paper on Matterport3D: its tables "IoU of the Global Map" and "Number of Correct Pixels"."""
 
 from collections.abc import Mapping, Sequence
 
 SOURCE = "Paper, on Matterport3D"
-"""How its rows are named."""
+"""Heading of the paper's rows in tables."""
 
 RESOLUTION = 0.02
-"""Metres per cell of its maps."""
+"""Resolution of the paper's maps, metres per cell."""
 
 _COLUMNS = [(width, category) for width in (3.0, 2.5, 2.0) for category in ("chair", "bed", "table")]
 
@@ -25,7 +25,7 @@ _CORRECT = {
 }
 
 Numbers = dict[tuple[str, float, str], float]
-"""By approach, cell width in metres and category."""
+"""Values by approach, cell width in metres and category."""
 
 
 def _numbers(rows: Mapping[str, Sequence[float]]) -> Numbers:

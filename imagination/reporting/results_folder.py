@@ -1,4 +1,4 @@
-"""Write an evaluation's tables and figures into a folder, and its main tables to the screen."""
+"""Writer of an evaluation's tables and figures into a folder, and of its main tables to the terminal."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +18,8 @@ def write_results(folder: Path, evaluation: Evaluation, training: Sequence[Row] 
     """Write tables/ and figures/, print the main tables and return the rows of mapping.csv.
 
     Args:
-        folder: of the results.
-        evaluation: its records.
+        folder: folder of the results.
+        evaluation: records of the evaluation.
         training: rows on the training of the networks, for training.csv.
 
     Raises:
@@ -34,13 +34,13 @@ def write_results(folder: Path, evaluation: Evaluation, training: Sequence[Row] 
         evaluation.seconds,
         mapping_report.declared_sensor(setting, protocol.approaches),
     )
-    beside = mapping_report.Beside(training, evaluation.known)
-    mapping_report.write_tables(folder / "tables", report, protocol, resolution, origin, beside)
+    further = mapping_report.FurtherTables(training, evaluation.known)
+    mapping_report.write_tables(folder / "tables", report, protocol, resolution, origin, further)
     credits.write(folder / "tables", evaluation.credits)
     rows = mapping_rows(report, protocol, resolution)
     write_figures(folder / "figures", report, rows)
     screen = Console()
     screen.print(to_screen(rows, "Global maps", SCREEN_MAPPING))
     if paired := paired_rows(report, protocol):
-        screen.print(to_screen(paired, "In pairs", SCREEN_PAIRED))
+        screen.print(to_screen(paired, "Paired differences", SCREEN_PAIRED))
     return rows

@@ -1,4 +1,4 @@
-"""The config that a run left, checked: it may have been edited, damaged, or come from a stranger."""
+"""Reader of a run's saved config, which is untrusted: edited, damaged or from another source."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ KINDS: dict[str, tuple[type, ...]] = {
     **dict.fromkeys(("evaluation.cell_widths", "unit_categories", "choices"), (list,)),
     "ckpt": (str, list),
 }
-"""Of the nodes that a report reads; each may be missing."""
+"""Types of the nodes that a report reads; each node is optional."""
 
 RANGES: dict[str, tuple[float, float]] = {
     "scale.resolution": (0.005, 1.0),
@@ -21,19 +21,19 @@ RANGES: dict[str, tuple[float, float]] = {
     "evaluation.resamples": (1, 10**9),
     "evaluation.viewpoint_sets": (0, 10_000),
 }
-"""Of the numbers that a report reads; each may be missing."""
+"""Ranges of the numbers that a report reads; each number is optional."""
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """A run's resolved config.
+    """Read and check a run's resolved config.
 
     Raises:
-        UserError: if there is none, it is damaged, or holds what a report cannot go by.
+        UserError: if the file is missing or damaged, or a value has the wrong type or range.
     """
     if not path.is_file():
         raise UserError(
-            f"report: got {path.parent}, expected the folder of a run, an evaluation or a sweep, which holds "
-            f"{path.name} or numbered folders that do; such as outputs/chair_unet/latest"
+            f"report: got {path.parent}, expected the folder of a run, an evaluation or a sweep, which contains "
+            f"{path.name} or numbered folders with one; for example outputs/chair_unet/latest"
         )
     config = read_yaml(path)
     for key, kinds in KINDS.items():
@@ -41,8 +41,8 @@ def read_config(path: Path) -> dict[str, Any]:
         if value is not None and not isinstance(value, kinds):
             expected = " or ".join(kind.__name__ for kind in kinds)
             raise UserError(f"config {path}: {key} is damaged: got {value!r}, expected {expected}")
-    if other := [name for name in at(config, "unit_categories") or [] if not isinstance(name, str)]:
-        raise UserError(f"config {path}: unit_categories is damaged: got {other[0]!r}, expected names")
+    if invalid := [name for name in at(config, "unit_categories") or [] if not isinstance(name, str)]:
+        raise UserError(f"config {path}: unit_categories is damaged: got {invalid[0]!r}, expected names")
     for key, (low, high) in RANGES.items():
         if (value := at(config, key)) is not None:
             check_number(f"config {path}: {key}", value, low, high)
@@ -52,7 +52,7 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def at(config: Mapping[str, Any], key: str) -> Any:
-    """The value of a dotted key; None where it or a node above it is missing."""
+    """Return the value of a dotted key; None if it or a parent node is missing."""
     node: Any = config
     for name in key.split("."):
         node = node.get(name) if isinstance(node, Mapping) else None
@@ -60,10 +60,10 @@ def at(config: Mapping[str, Any], key: str) -> Any:
 
 
 def check_number(name: str, value: Any, low: float, high: float) -> None:
-    """Check a value that came out of a file.
+    """Check a number from a file.
 
     Raises:
-        UserError: if it is no number in the range.
+        UserError: if the value is not a number in the range.
     """
     if not isinstance(value, (int, float)):
         raise UserError(f"{name}: got {value!r}, expected a number")

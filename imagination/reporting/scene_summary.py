@@ -1,4 +1,4 @@
-"""Summary and sample views of one scene."""
+"""Summary and labelled sample views of one scene."""
 
 from typing import NamedTuple
 
@@ -16,25 +16,23 @@ from imagination.views.view import View
 
 
 class Kernels(NamedTuple):
-    """Sides of the squares that make V_filter and M*_seen, cells."""
+    """Sides of the square dilation kernels of V_filter and M*_seen, cells."""
 
     imaginable: int
     neighbourhood: int
 
 
-def summary(scene: Scene, truth: GroundTruth, categories: CategoryTable) -> list[str]:
-    """What the scene contains, and how much of it is in the ground truth."""
-    cell = truth.grid.resolution**2
+def summary(scene: Scene, gt: GroundTruth, categories: CategoryTable) -> list[str]:
+    """Return lines on the content of the scene and its ground truth."""
+    cell = gt.grid.resolution**2
     free = scene.free_space.mask.sum() * scene.free_space.grid.resolution**2
-    lines = [
-        f"{scene.name}: {len(scene.mesh.faces)} triangles, {free:.1f} m2 free, {len(truth.points)} points"
-    ]
+    lines = [f"{scene.name}: {len(scene.mesh.faces)} triangles, {free:.1f} m2 free, {len(gt.points)} points"]
     for layer, name in enumerate(categories.names):
-        count, area = len(scene.of_category(name)), truth.truth[layer].sum() * cell
-        shared = truth.truth[layer] & np.delete(truth.truth, layer, axis=0).any(axis=0)
-        share = shared.sum() / max(truth.truth[layer].sum(), 1)
+        count, area = len(scene.of_category(name)), gt.truth[layer].sum() * cell
+        overlap = gt.truth[layer] & np.delete(gt.truth, layer, axis=0).any(axis=0)
+        fraction = overlap.sum() / max(gt.truth[layer].sum(), 1)
         lines.append(
-            f"{name}: {count} objects, {area:.2f} m2 of truth, {share:.1%} of it also another category's"
+            f"{name}: {count} objects, {area:.2f} m2 of ground truth, {fraction:.1%} of it also of another category"
         )
     return lines
 
@@ -42,7 +40,7 @@ def summary(scene: Scene, truth: GroundTruth, categories: CategoryTable) -> list
 def choose_views(
     observer: Observer, name: str, poses: int, seed: int, kernels: Kernels
 ) -> list[LabelledView]:
-    """Of random views, for each category the one with the largest label."""
+    """Draw random views and return the one with the largest label for each category."""
     rng = np.random.default_rng(seed)
     scene = observer.scene(name)
     views = [observer.observe(name, pose, rng) for pose in sample_poses(scene.free_space, poses, rng)]
@@ -50,18 +48,18 @@ def choose_views(
         [label(view.object, view.seen[None], kernels.imaginable).sum(axis=(1, 2)) for view in views]
     )
     renderer = renderer_of(scene)
-    chosen = []
+    selected = []
     for layer in range(len(observer.categories)):
         best = int(sizes[:, layer].argmax())
-        sizes[best] = -1  # no view twice, where there are enough
-        chosen.append(develop(views[best], layer, observer, renderer, scene.floor_height, kernels))
-    return chosen
+        sizes[best] = -1  # no view twice, if there are enough
+        selected.append(label_view(views[best], layer, observer, renderer, scene.floor_height, kernels))
+    return selected
 
 
-def develop(
+def label_view(
     view: View, layer: int, observer: Observer, renderer: SceneRenderer, floor: float, kernels: Kernels
 ) -> LabelledView:
-    """Everything that becomes of a view for one category."""
+    """Compute all maps and labels of a view for one category."""
     objects = view.object[layer]
     image = renderer.render(observer.camera, observer.camera.to_world(view.pose, floor))
     return LabelledView(
@@ -80,7 +78,7 @@ def develop(
 
 
 def stack(views: list[LabelledView]) -> dict[str, np.ndarray]:
-    """Views as arrays with a leading axis."""
+    """Return views as arrays with a leading axis."""
     return {
         field: np.stack([np.asarray(getattr(view, field)) for view in views])
         for field in LabelledView._fields

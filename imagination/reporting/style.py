@@ -1,4 +1,4 @@
-"""How approaches are named and coloured in every figure and table, and the two themes figures are drawn in."""
+"""Labels and colours of approaches in figures and tables, and the light and dark themes of figures."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -15,19 +15,19 @@ LABELS = {
     "rgb_shuffled": "RGB shuffled",
     "oracle": "Oracle",
 }
-"""The paper's names where it has one; an approach that is not here goes by its own."""
+"""Labels of approaches, those of the paper where it has one; any other approach is shown by its name."""
 
 MEANINGS = {
-    "seg_gt": "true first-person segmentation, projected by depth: ordinary semantic mapping with a perfect network",
-    "seg_hrnet": "HRNetV2's first-person segmentation, projected by depth: ordinary semantic mapping",
-    "imagination_seen": "the unit's prediction in cells that depth saw",
-    "seen_dilated": "the prediction in cells that depth saw, not dilated by the unit but by the best kernel: "
-    "does imagination do more than dilate?",
-    "imagination": "the unit's whole valid prediction, also where nothing was seen",
-    "rgb_shuffled": "imagination, each view with the colours of another one: does the unit look at them?",
-    "oracle": "the truth within the imaginable area of the views: the most that can be imagined",
+    "seg_gt": "ground-truth first-person segmentation projected by depth: semantic mapping with a perfect network",
+    "seg_hrnet": "first-person segmentation by HRNetV2 projected by depth: ordinary semantic mapping",
+    "imagination_seen": "prediction of the unit in the cells that depth saw",
+    "seen_dilated": "undilated prediction of the unit in the cells that depth saw, then dilated by the best kernel: "
+    "tests whether imagination is more than dilation",
+    "imagination": "valid prediction of the unit in seen and unseen cells",
+    "rgb_shuffled": "imagination with the colour images swapped among views: tests whether the unit uses colour",
+    "oracle": "ground truth within the imaginable area of the views: upper bound of imagination",
 }
-"""What the approaches are, for those who read the tables."""
+"""Explanations of the approaches for readers of the tables."""
 
 COLOURS = {
     "seg_gt": "#0072b2",
@@ -38,25 +38,25 @@ COLOURS = {
     "rgb_shuffled": "#999999",
     "oracle": "#009e73",
 }
-"""The palette of Okabe and Ito (2008) with a darker yellow: people who see few colours can tell them apart."""
+"""Colours of approaches: the colour-blind safe palette of Okabe and Ito (2008) with a darker yellow."""
 
 SPARE = ("#7f3c8d", "#2f4b7c", "#3969ac", "#80ba5a", "#a5673f")
-"""Colours of other approaches, in their order."""
+"""Colours of other approaches, in this order."""
 
 THEMES: dict[str, dict[str, Any]] = {
     "light": {"text": "#1c2430", "face": "#ffffff", "rim": "#8a94a3", "grid": "#dfe3e8"},
     "dark": {"text": "#e4e8ee", "face": "#171c24", "rim": "#6b7686", "grid": "#2c3542"},
 }
-"""Colours around the data; those of the page are the same."""
+"""Colours of text, background, axes and grid; the HTML page uses the same."""
 
 
 def label(name: str) -> str:
-    """What an approach is called in figures and tables for people."""
+    """Return the label of an approach in figures and tables."""
     return LABELS.get(name, name)
 
 
 def colours(names: Sequence[str]) -> dict[str, str]:
-    """A colour for each approach, the same in every figure of a report."""
+    """Return a colour for each approach, the same in every figure of a report."""
     others = [name for name in names if name not in COLOURS]
     spare = {name: SPARE[place % len(SPARE)] for place, name in enumerate(others)}
     return {name: COLOURS.get(name) or spare[name] for name in names}
@@ -64,9 +64,9 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 @contextmanager
 def theme(name: str) -> Iterator[None]:
-    """Draw and save figures for a light or a dark page."""
+    """Apply the light or dark theme to figures that are drawn and saved in the context."""
     colour = THEMES[name]
-    changes: Any = {  # matplotlib types each key by itself
+    changes: Any = {  # matplotlib types each key separately
         "figure.facecolor": colour["face"],
         "savefig.facecolor": colour["face"],
         "axes.facecolor": colour["face"],
@@ -87,7 +87,7 @@ def theme(name: str) -> Iterator[None]:
         "legend.frameon": False,
         "legend.fontsize": 8,
         "lines.linewidth": 1.6,
-        "pdf.fonttype": 42,  # text stays text
+        "pdf.fonttype": 42,  # embeds TrueType fonts, so that text stays text
     }
     with mpl.rc_context(changes):
         yield

@@ -1,4 +1,4 @@
-"""The rows of the mapping task's tables, and tables as CSV, as Markdown and on the screen."""
+"""Rows of the tables of the mapping task, and tables for the terminal."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -12,6 +12,7 @@ from imagination.evaluation.records import Report
 from imagination.utils.tabular import Row
 
 PIXELS = "correct_pixels", "false_positives", "gt_pixels"
+"""Columns of the three counts."""
 
 MAIN = (
     "approach",
@@ -24,22 +25,24 @@ MAIN = (
     "iou_ci_high",
     *PIXELS,
 )
-"""The first columns of mapping.csv, which mapping.md shows."""
+"""First columns of mapping.csv, and the columns in mapping.md."""
 
 SCREEN_MAPPING = (
     "approach", "category", "cell_width", "iou_pooled", "iou_ci_low", "iou_ci_high", *PIXELS,
 )  # fmt: skip
+"""Columns of the results table in the terminal."""
+
 SCREEN_PAIRED = "difference", "category", "cell_width", "iou_pooled", "ci_low", "ci_high", "correct_pixels"
-"""Columns of the tables on the screen."""
+"""Columns of the table of paired differences in the terminal."""
 
 
 def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -> list[Row]:
-    """One row for each approach, category and cell width."""
+    """Return one row for each approach, category and cell width."""
     rows = []
     for key, counts in report.counts.items():
         low, high = interval(bootstrap_iou(counts, resample(len(counts), protocol.resamples, protocol.seed)))
-        correct, false, truth = counts.sum(axis=(0, 1)).tolist()
-        choice = report.choices[key.approach, key.category]
+        correct, false, gt = counts.sum(axis=(0, 1)).tolist()
+        selected = report.selected[key.approach, key.category]
         rows.append(
             {
                 "approach": key.approach,
@@ -52,17 +55,17 @@ def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -
                 "iou_ci_high": f"{high:.4f}",
                 "correct_pixels": str(correct),
                 "false_positives": str(false),
-                "gt_pixels": str(truth),
+                "gt_pixels": str(gt),
                 "area_m2": f"{correct * resolution**2:.4f}",
                 "resolution": f"{resolution:g}",
                 "scenes": str(counts.shape[0]),
                 "scenes_left_out": str(len(report.left_out[key.category])),
-                "threshold": f"{choice.threshold:.2f}",
-                "kernel_m": f"{choice.kernel:g}",
+                "threshold": f"{selected.threshold:.2f}",
+                "kernel_m": f"{selected.kernel:g}",
                 "iou_shuffled": f"{pooled_iou(report.shuffled[key]):.4f}",
                 "iou_seen": f"{pooled_iou(report.seen[key]):.4f}",
                 "iou_unseen": f"{pooled_iou(counts - report.seen[key]):.4f}",
-                "iou_val": f"{choice.iou:.4f}",
+                "iou_val": f"{selected.iou:.4f}",
             }
         )
     return rows
@@ -74,7 +77,7 @@ def pairs(approaches: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def paired_rows(report: Report, protocol: MappingProtocol) -> list[Row]:
-    """Differences of pooled IoU between approaches, resampled in pairs over scenes."""
+    """Return paired differences of pooled IoU between approaches, with bootstrap intervals over scenes."""
     rows = []
     compared = pairs(list(dict.fromkeys(key.approach for key in report.counts)))
     for (first, second), (key, counts) in product(compared, report.counts.items()):
@@ -99,7 +102,7 @@ def paired_rows(report: Report, protocol: MappingProtocol) -> list[Row]:
 
 
 def trial_rows(report: Report) -> list[Row]:
-    """The counts of every run, from which all tables follow."""
+    """Return the counts of every trial, from which all tables are computed."""
     return [
         {
             "approach": key.approach,
@@ -117,30 +120,30 @@ def trial_rows(report: Report) -> list[Row]:
 
 
 def furniture_rows(unseen: Report, known: Report, protocol: MappingProtocol) -> list[Row]:
-    """Pooled IoU in scenes with furniture as in training, none of them trained on, and in test scenes, with intervals."""
+    """Return pooled IoU with intervals in scenes with training furniture (not trained on) and in test scenes."""
     rows = []
     for key, counts in known.counts.items():
         row = {"approach": key.approach, "category": key.category, "cell_width": f"{key.cell_width:g}"}
-        for name, of_homes in (("known", counts), ("unseen", unseen.counts[key])):
-            draws = resample(len(of_homes), protocol.resamples, protocol.seed)
-            low, high = interval(bootstrap_iou(of_homes, draws))
+        for name, part in (("known", counts), ("unseen", unseen.counts[key])):
+            draws = resample(len(part), protocol.resamples, protocol.seed)
+            low, high = interval(bootstrap_iou(part, draws))
             row |= {
-                f"iou_{name}": f"{pooled_iou(of_homes):.4f}",
+                f"iou_{name}": f"{pooled_iou(part):.4f}",
                 f"ci_low_{name}": f"{low:.4f}",
                 f"ci_high_{name}": f"{high:.4f}",
-                f"homes_{name}": str(len(of_homes)),
+                f"scenes_{name}": str(len(part)),
             }
         rows.append(row)
     return rows
 
 
 def to_screen(rows: Sequence[Row], title: str, columns: Sequence[str]) -> Table:
-    """Some columns of a table, narrow enough for a terminal."""
+    """Return some columns of a table as a narrow table for the terminal."""
     table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
     for column in columns:
         left = column in ("approach", "category", "difference")
-        wraps = column == "difference"  # of two long names
-        table.add_column(column.replace("_", "\n"), justify="left" if left else "right", no_wrap=not wraps)
+        wrap = column == "difference"  # contains two long names
+        table.add_column(column.replace("_", "\n"), justify="left" if left else "right", no_wrap=not wrap)
     for row in rows:
         table.add_row(*(row[column] for column in columns))
     return table

@@ -9,31 +9,31 @@ from imagination.evaluation.single_views import CELLS
 from imagination.reporting.figures.curves import Curve
 
 FOLDER = "tensorboard"
-"""In a run's folder."""
+"""Folder of the event files in the folder of a run."""
 
 
 COMPARED = {
     "train/loss": ("loss", "loss", "Training loss"),
     "val/iou": ("iou", "IoU", "Single views of validation scenes"),
 }
-"""Curves by which networks are compared: their name in files and on the axis, and what they are of."""
+"""Curves that compare networks: name in file names, label of the axis and title, by tag."""
 
 KINDS = {"maps": "units", "images": "first-person segmentation"}
-"""What networks predict, and what those that do are called."""
+"""Kinds of networks by output."""
 
 
 class Chart(NamedTuple):
-    """Curves that share axes."""
+    """Curves with common axes."""
 
     stem: str
     title: str
-    up: str
+    ylabel: str
     curves: dict[str, Curve]
 
 
 def read(folder: Path) -> dict[str, Curve]:
-    """Every scalar of a TensorBoard folder by tag: steps and values; without any where nothing was logged."""
-    # slow to import
+    """Read every scalar of a TensorBoard folder by tag, as steps and values; empty without event files."""
+    # slow import
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     events = EventAccumulator(str(folder), size_guidance={"scalars": 0})
@@ -46,36 +46,38 @@ def read(folder: Path) -> dict[str, Curve]:
 
 
 def compared(networks: Sequence[tuple[str, str, dict[str, Curve]]]) -> list[Chart]:
-    """The same curve of several networks together, apart for units and for first-person segmentation.
+    """Return charts that compare networks, separately for units and for first-person segmentation.
 
     Args:
-        networks: name, what it predicts, and every scalar of each.
+        networks: name, kind of output ("maps" or "images") and every scalar of each network.
     """
-    made = []
-    for (kind, called), (tag, (name, up, title)) in product(KINDS.items(), COMPARED.items()):
-        of = {
-            network: found[tag] for network, predicts, found in networks if predicts == kind and tag in found
+    result = []
+    for (kind, kind_name), (tag, (name, ylabel, title)) in product(KINDS.items(), COMPARED.items()):
+        curves = {
+            network: scalars[tag]
+            for network, predicts, scalars in networks
+            if predicts == kind and tag in scalars
         }
-        if of:
-            made.append(Chart(f"curve_{name}_{kind}", f"{title}, {called}", up, of))
-    return made
+        if curves:
+            result.append(Chart(f"curve_{name}_{kind}", f"{title}, {kind_name}", ylabel, curves))
+    return result
 
 
 def charts(curves: dict[str, Curve]) -> list[Chart]:
-    """What is drawn of them: losses, IoU of single views, global IoU by approach, learning rate."""
-    made = []
+    """Return the charts of one training: losses, IoU of single views, global IoU by approach, learning rate."""
+    result = []
     tags = {"training": "train/loss", "validation": "val/loss"}
     if losses := {name: curves[tag] for name, tag in tags.items() if tag in curves}:
-        made.append(Chart("curve_loss", "Weighted loss", "loss", losses))
+        result.append(Chart("curve_loss", "Weighted loss", "loss", losses))
     regions = {cells: f"val/iou{'' if cells == 'all' else '_' + cells}" for cells in CELLS}
-    if found := {cells: curves[tag] for cells, tag in regions.items() if tag in curves}:
-        made.append(Chart("curve_iou", "Single views of validation scenes", "egocentric IoU", found))
+    if by_cells := {cells: curves[tag] for cells, tag in regions.items() if tag in curves}:
+        result.append(Chart("curve_iou", "Single views of validation scenes", "egocentric IoU", by_cells))
     parts = [tag.split("/") for tag in curves if tag.startswith("global/") and tag.endswith("/val")]
     for category in dict.fromkeys(part[1] for part in parts):
-        of = {part[2]: curves["/".join(part)] for part in parts if part[1] == category}
+        by_approach = {part[2]: curves["/".join(part)] for part in parts if part[1] == category}
         title = f"Global maps of a few validation scenes, {category}"
-        made.append(Chart(f"curve_global_{category}", title, "pooled IoU", of))
+        result.append(Chart(f"curve_global_{category}", title, "pooled IoU", by_approach))
     if "train/learning_rate" in curves:
-        one = {"learning rate": curves["train/learning_rate"]}
-        made.append(Chart("curve_learning_rate", "Learning rate", "learning rate", one))
-    return made
+        single = {"learning rate": curves["train/learning_rate"]}
+        result.append(Chart("curve_learning_rate", "Learning rate", "learning rate", single))
+    return result

@@ -1,4 +1,4 @@
-"""What the networks of an evaluation were trained on: the table beside that of the maps."""
+"""Table of the training of an evaluation's networks."""
 
 from collections.abc import Sequence
 
@@ -8,25 +8,23 @@ from imagination.runs.checkpoint import Checkpoint
 from imagination.utils.tabular import Row
 
 COUNTED = "epochs", "samples", "views", "minutes", "until", "iou_val_views"
-"""Columns that a checkpoint written without a record leaves empty."""
+"""Columns that stay empty for a checkpoint without training statistics."""
 
 
 def training_rows(checkpoints: Sequence[Checkpoint], report: Report, public: bool = False) -> list[Row]:
-    """One row for each network and category that is evaluated.
+    """Return one row for each network and evaluated category.
 
     Args:
-        checkpoints: of the networks.
-        report: of their evaluation.
-        public: whether public weights for ADE20K segmented the images; what they took to train is not known here.
+        checkpoints: checkpoints of the networks.
+        report: results of the evaluation.
+        public: whether public ADE20K weights segmented the images; their training is unknown.
     """
     rows = [
         {
             "network": str(checkpoint.config.name),
             "category": name,
             **_counted(checkpoint),
-            "iou_first_person": f"{report.first_person[name]:.4f}"
-            if _maps_images(checkpoint, report)
-            else "",
+            "iou_first_person": f"{report.first_person[name]:.4f}" if _segments(checkpoint, report) else "",
         }
         for checkpoint in checkpoints
         for name in checkpoint.categories
@@ -45,18 +43,20 @@ def training_rows(checkpoints: Sequence[Checkpoint], report: Report, public: boo
 
 
 def _counted(checkpoint: Checkpoint) -> Row:
-    record = checkpoint.record
-    if not record:
+    """Return the training statistics of a checkpoint as cells."""
+    stats = checkpoint.training_stats
+    if not stats:
         return dict.fromkeys(COUNTED, "")
     return {
-        "epochs": str(record["epochs"]),
-        "samples": str(record["samples"]),
-        "views": str(record["views"]),
-        "minutes": f"{record['seconds'] / 60:.1f}",
-        "until": "flat" if record["flat"] else "last round",
-        "iou_val_views": f"{record['best']:.4f}",
+        "epochs": str(stats["epochs"]),
+        "samples": str(stats["samples"]),
+        "views": str(stats["views"]),
+        "minutes": f"{stats['seconds'] / 60:.1f}",
+        "until": "flat" if stats["flat"] else "last epoch",
+        "iou_val_views": f"{stats['best']:.4f}",
     }
 
 
-def _maps_images(checkpoint: Checkpoint, report: Report) -> bool:
+def _segments(checkpoint: Checkpoint, report: Report) -> bool:
+    """Return whether a checkpoint segmented the images of the evaluation."""
     return checkpoint.predicts == "images" and bool(report.first_person)

@@ -1,7 +1,7 @@
-"""Checkpoints: what a run's file holds besides weights, and how it becomes a model again.
+"""Reading and writing of checkpoints, which hold the run's configuration besides the weights.
 
-A checkpoint carries the groups chosen and plain values, never a `_target_`: what is built comes from the installed
-conf and plugins, so that a stranger's file cannot name code to run.
+A checkpoint stores the overrides and plain values of the configuration, never a `_target_`. Targets come from the
+installed conf and plugins, so that a checkpoint from an untrusted source cannot name code to run.
 """
 
 import re
@@ -27,30 +27,30 @@ from imagination.utils.atomic_io import replacing
 from imagination.utils.errors import UserError
 
 KEY = "imagination"
-"""Our entry in the dictionary that Lightning saves."""
+"""Key of the configuration in the dictionary that Lightning saves."""
 
-CHOICE = re.compile(r"(?!hydra)[+~]*[A-Za-z][\w./@]*(=.*)?")
-"""An override as on a command line, e.g. "model/encoder=timm" or "seed=3", of anything but Hydra itself."""
+OVERRIDE = re.compile(r"(?!hydra)[+~]*[A-Za-z][\w./@]*(=.*)?")
+"""Pattern of the allowed overrides, e.g. "model/encoder=timm" or "seed=3"; overrides of Hydra itself are refused."""
 
 
 class ConfigInCheckpoint(Callback):
-    """Puts the run's choices and plain values into each of its checkpoints."""
+    """Callback that saves the run's overrides and plain values in each of its checkpoints."""
 
     def __init__(self, config: DictConfig) -> None:
         values = plain_values(config)
-        self.description = {"choices": values.pop("choices"), "values": values}
+        self.saved_config = {"choices": values.pop("choices"), "values": values}
 
     def on_save_checkpoint(
         self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]
     ) -> None:
-        checkpoint[KEY] = self.description
+        checkpoint[KEY] = self.saved_config
 
 
 class CheckpointFiles(TorchCheckpointIO):
-    """Writes each checkpoint whole or not at all, and reads them as data only."""
+    """Checkpoint IO that writes files atomically and reads plain data only."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
-        content = BytesIO()  # torch writing to a full disk itself hides the cause
+        content = BytesIO()  # torch.save to a full disk hides the cause of the error
         torch.save(checkpoint, content)
         with replacing(Path(path)) as temporary:
             temporary.write_bytes(content.getbuffer())
@@ -62,18 +62,18 @@ class CheckpointFiles(TorchCheckpointIO):
 
 
 def read_state(path: Path, map_location: Any = "cpu") -> dict[str, Any]:
-    """The dictionary in a checkpoint file.
+    """Return the dictionary in a checkpoint file.
 
     Raises:
-        UserError: if there is no such file, it is damaged, or it was not written by this program.
+        UserError: if the file does not exist, is damaged, or was not written by `imagination.train`.
     """
     try:
         state = torch.load(path, map_location=map_location, weights_only=True)
     except FileNotFoundError as error:
         raise UserError(f"checkpoint: got {path}, but there is no such file") from error
-    except Exception as error:  # torch raises whatever the broken part makes it raise
+    except Exception as error:  # torch raises errors of any type on a damaged file
         raise UserError(
-            f"checkpoint {path}: cannot be read, it is truncated or holds more than plain data; use another one "
+            f"checkpoint {path}: cannot be read; it is truncated or holds more than plain data; use another checkpoint "
             "(each run keeps checkpoints/last.ckpt and checkpoints/best.ckpt)"
         ) from error
     if not isinstance(state, dict) or KEY not in state or "state_dict" not in state:
@@ -85,11 +85,11 @@ def read_state(path: Path, map_location: Any = "cpu") -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint that was read.
+    """Content of a checkpoint file.
 
     Attributes:
-        path: of its file.
-        state: what Lightning saved, our description included.
+        path: path of the file.
+        state: dictionary that Lightning saved, with the configuration under `KEY`.
     """
 
     path: Path
@@ -97,7 +97,7 @@ class Checkpoint:
 
     @classmethod
     def read(cls, path: str | Path) -> "Checkpoint":
-        """Read a file.
+        """Read a checkpoint file.
 
         Raises:
             UserError: see `read_state`.
@@ -106,45 +106,52 @@ class Checkpoint:
 
     @cached_property
     def config(self) -> DictConfig:
-        """The run's config: targets from the installed conf and plugins, plain values from the checkpoint.
+        """Config of the run: targets from the installed conf and plugins, plain values from the checkpoint.
 
         Raises:
-            UserError: if the description holds anything but choices and plain values.
+            UserError: if the saved configuration holds anything but overrides and plain values.
         """
-        choices, values = self.state[KEY]["choices"], self.state[KEY]["values"]
-        for text in [*choices, *_texts(values)]:
+        overrides, values = self.state[KEY]["choices"], self.state[KEY]["values"]
+        for text in [*overrides, *_texts(values)]:
             if "${" in text or "_target_" in text:
                 raise UserError(
-                    f"checkpoint {self.path}: holds {text!r}; expected plain values, do not use this file"
+                    f"checkpoint {self.path}: holds {text!r}, expected plain values; do not use this file"
                 )
-        for text in choices:
-            if not CHOICE.fullmatch(text) or ".." in text:  # no path that leaves the conf tree
+        for text in overrides:
+            if not OVERRIDE.fullmatch(text) or ".." in text:  # ".." could leave the conf tree
                 raise UserError(
-                    f"checkpoint {self.path}: holds {text!r}, expected the choice of a group's option"
+                    f"checkpoint {self.path}: holds {text!r}, expected an override such as model/encoder=timm or "
+                    "seed=3; do not use this file"
                 )
         try:
-            composed = compose("train", [*choices, "paths.run=."])
-        # as without the plugin that it was trained with
-        except (HydraException, OmegaConfBaseException) as error:
-            raise UserError(f"checkpoint {self.path}: its choices cannot be composed: {error}") from error
+            composed = compose("train", [*overrides, "paths.run=."])
+        except (
+            HydraException,
+            OmegaConfBaseException,
+        ) as error:  # e.g. a plugin of the training is not installed
+            raise UserError(
+                f"checkpoint {self.path}: got overrides that cannot be composed ({error}); install the plugins that "
+                "it was trained with"
+            ) from error
         merged: dict[str, Any] = _with_values(OmegaConf.to_container(composed, resolve=True), values)
         return OmegaConf.create(merged)
 
     @property
     def categories(self) -> list[str]:
-        """What it predicts."""
+        """Names of the predicted categories."""
         return list(self.config.unit_categories)
 
     @property
     def predicts(self) -> str:
-        """Egocentric "maps", or first-person "images"."""
+        """Kind of prediction: egocentric "maps" or first-person "images"."""
         return str(self.config.model.predicts)
 
     @property
-    def record(self) -> dict[str, Any]:
-        """What `TrainingStats` counted, of the whole run where its last checkpoint lies beside; empty without it.
+    def training_stats(self) -> dict[str, Any]:
+        """Counts of `TrainingStats`, and in `flat` whether `EarlyStopping` ended the training.
 
-        Beside it `flat`, whether the training ended because its score was flat (`EarlyStopping`).
+        They are those of the whole run if its last checkpoint is in the same folder, and empty if the training had no
+        `TrainingStats`.
         """
         last = self.path.with_name(LAST.name)
         callbacks = (read_state(last) if last.is_file() else self.state).get("callbacks", {})
@@ -153,56 +160,56 @@ class Checkpoint:
 
     @property
     def scenes(self) -> dict[str, str]:
-        """Names and fingerprints of the scenes that it was trained in; none where it does not say."""
+        """Fingerprints of the training scenes by name; empty if the checkpoint does not hold them."""
         states = [state for state in self.state.values() if isinstance(state, dict)]
         return next((dict(state["scenes"]) for state in states if isinstance(state.get("scenes"), dict)), {})
 
-    def require(self, config: DictConfig, whose: str = "the evaluation") -> None:
-        """Check that the checkpoint was trained for the camera and the maps of a config.
+    def check_compatible(self, config: DictConfig, source: str = "the evaluation") -> None:
+        """Check that the checkpoint was trained with the camera and the egocentric grid of a config.
 
         Args:
-            config: of the evaluation, or of another checkpoint.
-            whose: it is, for the message.
+            config: config of the evaluation, or of another checkpoint.
+            source: source of the config, for the message.
 
         Raises:
-            UserError: if it was not, with both.
+            UserError: if the camera or the grid differs.
         """
-        values, asked = self.state[KEY]["values"], plain_values(config)
-        has, wanted = (float(tree["ego"]["resolution"]) for tree in (values, asked))
-        if has != wanted:
+        values, required = self.state[KEY]["values"], plain_values(config)
+        resolution, expected = (float(tree["ego"]["resolution"]) for tree in (values, required))
+        if resolution != expected:
             raise UserError(
-                f"checkpoint {self.path}: is of {', '.join(self.categories)} at {has} m a cell, but {whose} asks for "
-                f"{', '.join(asked['unit_categories'])} at {wanted} m; choose another checkpoint, or leave out what "
-                "overrides them"
+                f"checkpoint {self.path}: predicts {', '.join(self.categories)} at a resolution of {resolution} m, but "
+                f"{source} expects {', '.join(required['unit_categories'])} at {expected} m; use another checkpoint, "
+                "or remove the overrides of the resolution"
             )
         for node in ("camera", "ego"):
-            if values[node] != asked[node]:
+            if values[node] != required[node]:
                 raise UserError(
-                    f"checkpoint {self.path}: was trained with the {node} {values[node]}, but {whose} asks for "
-                    f"{asked[node]}; choose another checkpoint, or leave out what overrides it"
+                    f"checkpoint {self.path}: was trained with {node}={values[node]}, but {source} expects "
+                    f"{required[node]}; use another checkpoint, or remove the overrides of {node}"
                 )
 
     def model(self) -> LightningModule:
-        """The trained LightningModule, in evaluation mode on the CPU.
+        """Return the trained LightningModule in evaluation mode on the CPU.
 
         Raises:
-            UserError: if the weights do not fit the model that the installed conf describes.
+            UserError: if the weights do not match the model in the installed conf.
         """
         module = OmegaConf.to_container(self.config.model.module, resolve=True)
-        _load_no_weights(module)
+        _disable_pretrained(module)
         model: LightningModule = instantiate(module)
         try:
             model.load_state_dict(self.state["state_dict"])
         except RuntimeError as error:
             raise UserError(
-                f"checkpoint {self.path}: its weights do not fit the model that the installed conf describes; "
-                f"use the version that it was trained with; {mismatches(self.state['state_dict'], model.state_dict())}"
+                f"checkpoint {self.path}: its weights do not match the model in the installed conf; use the version of "
+                f"the program that it was trained with; {mismatches(self.state['state_dict'], model.state_dict())}"
             ) from error
         return model.eval()
 
 
 def plain_values(config: DictConfig) -> dict[str, Any]:
-    """A config's values without what decides which code runs, and without this machine's paths."""
+    """Return the values of a config without targets (keys with a leading underscore) and paths."""
     values: dict[str, Any] = _plain(OmegaConf.to_container(config, resolve=True))
     return values
 
@@ -215,16 +222,16 @@ def _plain(node: Any) -> Any:
     return [_plain(value) for value in node] if isinstance(node, list) else node
 
 
-def _load_no_weights(node: Any) -> None:
-    """Build encoders without the weights that training may have started from: the checkpoint brings its own."""
+def _disable_pretrained(node: Any) -> None:
+    """Set every `pretrained` to False, because the weights come from the checkpoint."""
     for key, value in node.items() if isinstance(node, dict) else ():
         if key == "pretrained":
             node[key] = False
-        _load_no_weights(value)
+        _disable_pretrained(value)
 
 
 def _texts(node: Any) -> Iterator[str]:
-    """Every string in a tree of plain values, keys included."""
+    """Yield every string in a tree of plain values, including keys."""
     if isinstance(node, dict):
         for key, value in node.items():
             yield str(key)
@@ -237,7 +244,7 @@ def _texts(node: Any) -> Iterator[str]:
 
 
 def _with_values(composed: Any, values: Any) -> Any:
-    """`values` in the place of what was composed; targets, which `values` lack, stay."""
+    """Return the composed config with its values replaced by `values`; targets, which `values` lack, stay."""
     if isinstance(composed, dict) and isinstance(values, dict):
         return {**composed, **{key: _with_values(composed.get(key), value) for key, value in values.items()}}
     if isinstance(composed, list) and isinstance(values, list) and len(composed) == len(values):

@@ -1,8 +1,11 @@
-"""The decorator that makes a function of a configuration into a command."""
+"""Decorator that turns a function of a config into a command, and a function that runs another command."""
 
+import logging
 import os
+import shlex
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 
 import hydra
@@ -13,44 +16,54 @@ from omegaconf import DictConfig
 from imagination.config.compose import register_plugins
 from imagination.config.overrides import sweeps
 from imagination.config.plugin_registry import core_conf, discover
+from imagination.config.renamed_keys import check_renamed
 from imagination.config.user_messages import user_errors_reported
 from imagination.config.validation import validate
 from imagination.runs.sweep import run_job
 from imagination.utils.errors import UserError
 
+log = logging.getLogger(__name__)
+
 Task = Callable[[DictConfig], float | None]
-"""What a command does; a figure that it returns is what a search maximises."""
+"""Function of a command; a hyperparameter search maximises the score that it returns."""
 
 
 def command(config_name: str, check: Task | None = None) -> Callable[[Task], Callable[[], None]]:
-    """Make a function of a config into a command that composes conf/<config_name>.yaml from the command line.
+    """Turn a function of a config into a command that composes conf/<config_name>.yaml with command-line overrides.
 
-    `check` looks at the config before anything is built; `validate` if None. Commands with their own have no runs that
-    a sweep could list, so they refuse -m.
-    Mistakes of the user are told in one message with exit code 2; anything else shows its traceback.
+    A user error ends the command with one message and exit code 2; any other error shows its traceback.
+
+    Args:
+        config_name: name of the command and of its config.
+        check: check of the config before the task runs; `validate` if None. A command with its own check has no run
+            folders, so it refuses sweeps (-m).
     """
 
     def decorate(task: Task) -> Callable[[], None]:
         @wraps(task)
         def checked(config: DictConfig) -> float | None:
-            config.sweep_dir = None  # Hydra has it from here on; with its date it is no part of a run
+            config.sweep_dir = None  # Hydra holds it from here on; its date must not enter the run's config
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 return run_job(task, config)
             with user_errors_reported():
                 (check or validate)(config)
                 return task(config)
-            raise AssertionError("unreachable: mistakes end the program")
+            raise AssertionError("unreachable: user errors end the program")
 
         def main() -> None:
-            os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then passes errors on instead of ending the program
+            os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises errors instead of ending the program
             for plugin in discover():
                 if plugin.problem:
-                    print(f"{plugin.name} ({plugin.origin}) is left out: {plugin.problem}", file=sys.stderr)
+                    print(
+                        f"plugin {plugin.name} ({plugin.origin}) is left out: {plugin.problem}",
+                        file=sys.stderr,
+                    )
             register_plugins()
             with user_errors_reported():
+                check_renamed(config_name, sys.argv[1:])
                 if check is not None and any(map(sweeps, sys.argv[1:])):
                     raise UserError(
-                        f"-m: imagination.{config_name} knows no sweeps; call it once for each value"
+                        f"-m: imagination.{config_name} has no sweeps; run the command once for each value"
                     )
                 hydra.main(version_base="1.3", config_path=str(core_conf()), config_name=config_name)(
                     checked
@@ -59,3 +72,14 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
         return main
 
     return decorate
+
+
+def run_command(name: str, arguments: Sequence[str]) -> None:
+    """Run another command of the project as a subprocess; exit with its code if it fails."""
+    log.info("python -m imagination.%s %s", name, shlex.join(arguments))
+    code = subprocess.run([sys.executable, "-m", f"imagination.{name}", *arguments], check=False).returncode
+    if code:
+        log.error(
+            "imagination.%s failed with exit code %d; run the same command again to continue", name, code
+        )
+        sys.exit(code)

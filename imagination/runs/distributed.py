@@ -1,7 +1,7 @@
-"""How processes of distributed training start, agree on a run folder and notice that another ended.
+"""Distributed training: start of the processes, their common run folder, and detection of lost processes.
 
-Lightning starts the others from the first (`trainer.devices=4`), or torchrun starts all of them on every host. Rank 0
-writes the run folder; sizes in the config are those of all processes together.
+Rank 0 starts the other processes through Lightning (`trainer.devices=4`), or torchrun starts all of them on every
+host. Rank 0 writes the run folder. Sizes in the config, such as the batch size, are totals over all processes.
 """
 
 from __future__ import annotations
@@ -18,57 +18,58 @@ if TYPE_CHECKING:
     from lightning.fabric.plugins.environments.cluster_environment import ClusterEnvironment
     from lightning.pytorch.strategies import Strategy
 
-FOLDER = "IMAGINATION_RUN"
-"""Environment variable that holds the run's folder for processes started from the first."""
+FOLDER_KEY = "IMAGINATION_RUN"
+"""Environment variable, or key in torchrun's store, that holds the run folder."""
 
 
-def agree(folder: Path | None = None) -> Path:
-    """The run's folder: the first process names it, the others learn it and wait until then."""
-    if started_by_torchrun():  # its agent keeps a store for all
+def share_run_folder(folder: Path | None = None) -> Path:
+    """Return the run folder, which rank 0 passes and the other ranks wait for."""
+    if started_by_torchrun():  # torchrun's agent holds a key-value store for all ranks
         from torch.distributed.rendezvous import rendezvous
 
         store, _, _ = next(iter(rendezvous("env://")))
         if folder is not None:
-            store.set(FOLDER, str(folder))
-        return Path(store.get(FOLDER).decode())
+            store.set(FOLDER_KEY, str(folder))
+        return Path(store.get(FOLDER_KEY).decode())
     if folder is not None:
-        os.environ[FOLDER] = str(folder)
-    return Path(os.environ[FOLDER])
+        os.environ[FOLDER_KEY] = str(folder)
+    return Path(os.environ[FOLDER_KEY])
 
 
-def end_with_starter() -> None:
-    """Wait until the process that started this one is gone, then end: it may be waiting for it, for a day."""
-    starter = os.getppid()
-    while os.getppid() == starter:
+def exit_with_parent() -> None:
+    """End this process after its parent has ended; a collective operation would wait for the parent for a day."""
+    parent = os.getppid()
+    while os.getppid() == parent:
         time.sleep(1)
-    time.sleep(5)  # for the message, where training finds out by itself
+    time.sleep(5)  # time for an error message, if the training itself detects the loss
     os._exit(1)
 
 
-def lost_another(error: BaseException) -> bool:
-    """Whether an error says that another of the processes is gone."""
+def is_process_lost(error: BaseException) -> bool:
+    """Return whether an error means that another training process has ended."""
     from torch import distributed
 
-    told = str(error).lower()
+    message = str(error).lower()
     kinds = (distributed.DistBackendError, distributed.DistNetworkError)
-    return isinstance(error, kinds) or ("gloo" in told and "connection" in told)
+    return isinstance(error, kinds) or ("gloo" in message and "connection" in message)
 
 
 def strategy(processes: int) -> Strategy | str:
-    """How processes train together: Lightning's DDP, whose others wait while the first one evaluates."""
+    """Return Lightning's DDP strategy for several processes; its timeout covers an evaluation on rank 0 alone."""
     from lightning.pytorch.strategies import DDPStrategy
 
     return DDPStrategy(timeout=timedelta(days=1)) if processes > 1 else "auto"
 
 
-def environment() -> ClusterEnvironment:
-    """Who started the processes: torchrun or Lightning itself.
+def cluster_environment() -> ClusterEnvironment:
+    """Return the cluster environment of torchrun or of Lightning, depending on which one started the processes.
 
-    Told, since Lightning would take any process in a SLURM allocation for one of several and let the first alone log.
+    It is set explicitly because Lightning would take every process in a SLURM allocation for one rank of a job and
+    log on rank 0 only.
     """
     from lightning.fabric.plugins.environments.lightning import LightningEnvironment
     from lightning.fabric.plugins.environments.torchelastic import TorchElasticEnvironment
 
-    chosen = TorchElasticEnvironment() if started_by_torchrun() else LightningEnvironment()
-    chosen.set_global_rank(global_rank())  # until then who logs goes by SLURM_PROCID
-    return chosen
+    environment = TorchElasticEnvironment() if started_by_torchrun() else LightningEnvironment()
+    environment.set_global_rank(global_rank())  # otherwise SLURM_PROCID decides which process logs
+    return environment

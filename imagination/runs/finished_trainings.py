@@ -1,4 +1,4 @@
-"""Find runs that were trained with a given configuration."""
+"""Search for runs with the same training, which are reused or resumed instead of a new training."""
 
 import logging
 from collections.abc import Sequence
@@ -7,67 +7,92 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.compose import compose
-from imagination.config.overrides import choices, key
-from imagination.runs.folder import COMPOSED, LAST
+from imagination.config.overrides import override_group, override_key, training_overrides
+from imagination.runs.command import run_command
+from imagination.runs.folder import BEST, COMPOSED, LAST
 from imagination.runs.resume import PROGRAM
-from imagination.runs.sweep_jobs import EVALUATION_ONLY, key_of
+from imagination.runs.sweep_jobs import EVALUATION_ONLY, config_key
 from imagination.utils.cache import code_version
 
 log = logging.getLogger(__name__)
 
-EVALUATED = (*EVALUATION_ONLY, "ade20k")
-"""Nodes that only evaluation reads: what they are set to retrains nothing."""
+EVALUATION_KEYS = (*EVALUATION_ONLY, "ade20k")
+"""Keys that only the evaluation reads; overrides of them never cause a new training."""
 
-BESIDE = (*EVALUATION_ONLY, "choices", "ckpt_path", "resume")
-"""Nodes of a run's config that do not decide what its training makes."""
+NOT_TRAINING = (*EVALUATION_ONLY, "choices", "ckpt_path", "resume")
+"""Nodes of a run's config that do not affect the result of its training."""
 
 SEGMENTATION = tuple(
-    f"scale.hrnet{of}"
-    for of in ("", "_accumulate", "_rounds", "_most_rounds", "_final_learning_rate", "_eval_every")
+    f"scale.hrnet{suffix}"
+    for suffix in ("", "_accumulate", "_epochs", "_max_epochs", "_final_learning_rate", "_eval_every")
 )
-"""Nodes that only first-person segmentation reads."""
+"""Keys that only the training of first-person segmentation reads."""
 
 
-def evaluated(override: str) -> bool:
-    """Whether only evaluation reads what an override sets."""
-    changed = key(override)
-    return any(changed == node or changed.startswith((f"{node}.", f"{node}/")) for node in EVALUATED)
+def is_evaluation_only(override: str) -> bool:
+    """Return whether only the evaluation reads the key of an override."""
+    key = override_key(override)
+    return any(key == node or key.startswith((f"{node}.", f"{node}/")) for node in EVALUATION_KEYS)
 
 
-def planned(experiment: str, overrides: Sequence[str]) -> DictConfig:
-    """The config of an experiment's run, as imagination.train composes it."""
-    asked = [f"+experiment={experiment}", *overrides]
-    config = compose("train", [*asked, "paths.run=."])
-    config.choices, config.program = choices(asked), code_version(PROGRAM)
+def training_config(experiment: str, overrides: Sequence[str]) -> DictConfig:
+    """Return the config of an experiment's run, as `imagination.train` composes it."""
+    overrides = [f"+experiment={experiment}", *overrides]
+    config = compose("train", [*overrides, "paths.run=."])
+    config.choices, config.program = training_overrides(overrides), code_version(PROGRAM)
     return config
 
 
-def trained_key(config: DictConfig) -> str:
-    """Hash of what a run's training makes."""
-    key = key_of(config, (*BESIDE, *(SEGMENTATION if config.model.predicts == "maps" else ())))
-    return f"{key} {config.get('program')}"  # a run of other code is another run
+def training_key(config: DictConfig) -> str:
+    """Return the hash of everything that determines the result of a training: config and program."""
+    ignored = (*NOT_TRAINING, *(SEGMENTATION if config.model.predicts == "maps" else ()))
+    return f"{config_key(config, ignored)} {config.get('program')}"
 
 
-def newest(outputs: Path, config: DictConfig, finished: bool) -> Path | None:
-    """The newest run that trains what a config says and has a checkpoint; with its tables, if it is to be finished."""
-    trained_by = trained_key(config)
-    needed = (LAST, Path("tables") / "mapping.csv") if finished else (LAST,)
-    found = [
+def newest_run(outputs: Path, config: DictConfig, finished: bool) -> Path | None:
+    """Return the newest run folder with a checkpoint and the same training as `config`, or None.
+
+    Args:
+        outputs: folder of all experiments.
+        config: config of the training.
+        finished: whether only finished runs, which have result tables, are considered.
+    """
+    key = training_key(config)
+    required = (LAST, Path("tables") / "mapping.csv") if finished else (LAST,)
+    folders = [
         path.parent
         for path in outputs.glob(f"{config.name}/*/{COMPOSED}")
-        if all((path.parent / name).is_file() for name in needed)
+        if all((path.parent / name).is_file() for name in required)
         and not path.parent.is_symlink()
-        and _trains(path, trained_by)
+        and _has_training_key(path, key)
     ]
-    return max(found, key=lambda folder: folder.name, default=None)
+    return max(folders, key=lambda folder: folder.name, default=None)
 
 
-def _trains(path: Path, trained_by: str) -> bool:
-    """Whether the config of a run has this hash, and nothing that only evaluation reads, which it would pass on."""
+def train_or_reuse(experiment: str, overrides: Sequence[str], outputs: Path) -> Path:
+    """Return the best checkpoint of an experiment from a finished run, or after training or resuming one."""
+    config = training_config(experiment, overrides)
+    if (folder := newest_run(outputs, config, finished=True)) is not None:
+        log.info("%s: already trained, %s", experiment, folder)
+    elif (folder := newest_run(outputs, config, finished=False)) is not None:
+        paths = [text for text in overrides if override_group(text) == "paths"]
+        run_command("train", [f"ckpt_path={folder / LAST}", *paths])
+    else:
+        run_command("train", [f"+experiment={experiment}", *overrides])
+        folder = newest_run(outputs, config, finished=True)
+    assert folder is not None, "a successful training has written its tables"
+    return folder / (BEST if (folder / BEST).is_file() else LAST)
+
+
+def _has_training_key(path: Path, key: str) -> bool:
+    """Return whether a run's config has this training key and no overrides that only the evaluation reads.
+
+    Such overrides would be inherited by the evaluation of the run's checkpoint.
+    """
     try:
         config = OmegaConf.load(path)
         assert isinstance(config, DictConfig)
-        return trained_key(config) == trained_by and not any(map(evaluated, config.choices))
-    except Exception as error:  # yaml raises anything on what looks like a date or a number
-        log.warning("study: %s is damaged (%s); its run is not taken", path, error)
+        return training_key(config) == key and not any(map(is_evaluation_only, config.choices))
+    except Exception as error:  # PyYAML raises errors of any type on malformed dates and numbers
+        log.warning("study: %s is damaged (%s); its run is ignored", path, error)
         return False

@@ -1,28 +1,30 @@
-"""Run folders: created exclusively, and the `latest` link."""
+"""Run folders, each created exclusively, and the `latest` symlink."""
 
-import shutil
-import time
 from datetime import datetime
 from itertools import count
 from pathlib import Path
 
-from imagination.utils.atomic_io import PART, replacing, write_errors_reported
+from imagination.utils.atomic_io import PART, remove_stale_parts, replacing, write_errors_reported
 from imagination.utils.errors import UserError
 
 CONFIG = "config.yaml"
-"""The resolved config, for people and tables."""
+"""File name of the resolved config, for readers and reports."""
 
 COMPOSED = "composed.yaml"
-"""The same with its references, from which a run goes on (its folder may have moved since)."""
+"""File name of the config with its interpolations, from which a run resumes (its folder may have been moved)."""
 
 LAST = Path("checkpoints") / "last.ckpt"
-BEST = Path("checkpoints") / "best.ckpt"
+"""Path of the newest checkpoint in a run folder."""
 
-STAMP = "%Y-%m-%d_%H-%M-%S"
+BEST = Path("checkpoints") / "best.ckpt"
+"""Path of the checkpoint with the best validation score in a run folder."""
+
+TIMESTAMP = "%Y-%m-%d_%H-%M-%S"
+"""Format of the time in names of run folders."""
 
 
 def create_folder(parent: Path, name: str) -> Path:
-    """Make a new folder that nobody else has: parent/name, or with _1, _2 … where that exists."""
+    """Create a new folder parent/name, with the suffix _1, _2, … if the name exists, and return it."""
     with write_errors_reported(parent):
         parent.mkdir(parents=True, exist_ok=True)
         for number in count():
@@ -32,56 +34,56 @@ def create_folder(parent: Path, name: str) -> Path:
             except FileExistsError:
                 continue
             return folder
-    raise AssertionError("unreachable: count() has no end")
+    raise AssertionError("unreachable: count() is infinite")
 
 
 def point_latest(folder: Path) -> str | None:
-    """Let `latest` beside a run folder point to it, in one step; the name of the folder it pointed to before."""
+    """Atomically update the `latest` symlink and return the name of its previous target."""
     link = folder.parent / "latest"
-    before = link.readlink().name if link.is_symlink() else None
-    for scratch in link.parent.glob(
-        f".{link.name}.*{PART}"
-    ):  # a process was killed in the moment that this takes
-        if time.time() - scratch.lstat().st_mtime > 60:
-            shutil.rmtree(scratch, ignore_errors=True)
+    previous = link.readlink().name if link.is_symlink() else None
+    remove_stale_parts(link.parent.glob(f".{link.name}.*{PART}"))
     with replacing(link) as temporary:
         temporary.symlink_to(folder.name)
-    return before
+    return previous
 
 
-def take_back_latest(folder: Path, before: str | None) -> None:
-    """Let `latest` point to where it did before, unless another run has taken it since."""
+def restore_latest(folder: Path, previous: str | None) -> None:
+    """Reset the `latest` symlink to its previous target if it still points to `folder`."""
     link = folder.parent / "latest"
     if not link.is_symlink() or link.readlink().name != folder.name:
         return
-    if before is None:
+    if previous is None:
         link.unlink()
     else:
-        point_latest(folder.parent / before)
+        point_latest(folder.parent / previous)
 
 
 def find_latest(outputs: Path, name: str | None) -> Path:
-    """The newest run folder of an experiment, or of all of them.
+    """Return the newest run folder of an experiment, or of all experiments.
+
+    Args:
+        outputs: folder of all experiments.
+        name: name of the experiment; all experiments if None.
 
     Raises:
-        UserError: if there is none.
+        UserError: if there is no run folder.
     """
     links = sorted(outputs.glob(f"{name or '*'}/latest"))
     folders = [link.resolve() for link in links if (link / COMPOSED).is_file()]
     if not folders:
-        wanted = f"the experiment {name!r}" if name else "any experiment"
+        experiment = f"the experiment {name!r}" if name else "any experiment"
         raise UserError(
-            f"resume=latest: found no run of {wanted} in {outputs.resolve()}; start one without resume"
+            f"resume=latest: found no run of {experiment} in {outputs.resolve()}; start a run without resume"
         )
-    return within(max(folders, key=lambda folder: (folder.name, folder.parent.name)))
+    return resolved_path(max(folders, key=lambda folder: (folder.name, folder.parent.name)))
 
 
-def within(folder: Path) -> Path:
-    """A folder without symbolic links, told from the current directory if it lies in it."""
-    folder, here = folder.resolve(), Path.cwd().resolve()
-    return folder.relative_to(here) if folder.is_relative_to(here) else folder
+def resolved_path(path: Path) -> Path:
+    """Return a path without symlinks, relative to the current directory if the path is inside it."""
+    path, current = path.resolve(), Path.cwd().resolve()
+    return path.relative_to(current) if path.is_relative_to(current) else path
 
 
-def now() -> str:
-    """The time as run folders carry it."""
-    return datetime.now().strftime(STAMP)
+def timestamp() -> str:
+    """Return the current time in the format of run folder names."""
+    return datetime.now().strftime(TIMESTAMP)

@@ -1,4 +1,4 @@
-"""The log of a run, on the screen and in its folder."""
+"""Logging of a run to the screen and to a file in its folder."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from rich.logging import RichHandler
 from imagination.utils.progress import console
 
 FILE_ONLY = {"file_only": True}
-"""`extra` of a message for the log file alone."""
+"""Value of `extra` for a message that is written to the log file only."""
 
 
 class _LogFile(logging.FileHandler):
-    """A log that ends where the disk is full: what the work itself writes tells so, in one message."""
+    """Log file that ignores write errors: a full disk is reported once, by the writer of the run's results."""
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
         if not isinstance(sys.exc_info()[1], OSError):
@@ -31,35 +31,34 @@ class _LogFile(logging.FileHandler):
 
 @contextmanager
 def logging_to(file: Path) -> Iterator[None]:
-    """Send messages to the screen and, with their time, to a file."""
+    """Log messages to the screen and, with their time, to a file."""
     screen = RichHandler(console=console, show_path=False, show_time=False, show_level=False)
-    if not console.is_terminal:  # lines are for other programs then: never wrapped
+    if not console.is_terminal:  # output to a file or program: lines are not wrapped
         screen = logging.StreamHandler()  # type: ignore[assignment]
     screen.setFormatter(logging.Formatter("%(message)s"))
     screen.addFilter(lambda message: not hasattr(message, "file_only"))
-    record = _LogFile(file)
-    record.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    log_file = _LogFile(file)
+    log_file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     root = logging.getLogger()
-    before = root.handlers[:], root.level
-    root.handlers, root.level = [screen, record], logging.INFO
+    previous = root.handlers[:], root.level
+    root.handlers, root.level = [screen, log_file], logging.INFO
     logging.captureWarnings(True)
     try:
         yield
     finally:
-        root.handlers, root.level = before
-        record.close()
+        root.handlers, root.level = previous
+        log_file.close()
 
 
 def quiet_lightning() -> None:
-    """Leave out what Lightning tells about itself; its warnings stay."""
+    """Silence Lightning's info messages, and its warnings that do not apply here."""
     for name in ("lightning.pytorch", "lightning.fabric.utilities.distributed"):
         logging.getLogger(name).setLevel(logging.WARNING)
     warnings.filterwarnings("ignore", category=FutureWarning, module=r"lightning\.")
-    warnings.filterwarnings(
-        "ignore", message="Checkpoint directory .* exists and is not empty"
-    )  # as it should on resume
-    # it is not to be used: see check_shares
+    # expected when a run resumes
+    warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")
+    # srun is not supported, see check_processes
     warnings.filterwarnings("ignore", message="The `srun` command is available")
-    # batches are ready-made
+    # the data loader yields complete batches
     warnings.filterwarnings("ignore", message=".*does not have many workers")
-    warnings.filterwarnings("ignore", message=".*sync_dist=True.*")  # these values are the same on all ranks
+    warnings.filterwarnings("ignore", message=".*sync_dist=True.*")  # logged values are equal on all ranks

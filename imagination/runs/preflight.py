@@ -1,4 +1,4 @@
-"""Checks of the machine before and during training: accelerator, processes, GPU memory."""
+"""Checks before and during training: accelerator, number of processes, GPU memory."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from imagination.utils.process_group import started_by_torchrun
 
 
 @contextmanager
-def gpu_memory(config: DictConfig) -> Iterator[None]:
-    """Tell a GPU that is too small for training.
+def out_of_memory_reported(config: DictConfig) -> Iterator[None]:
+    """Raise a UserError with advice if the GPU runs out of memory.
 
     Raises:
-        UserError: if its memory does not suffice.
+        UserError: if the memory of the GPU is too small.
     """
     import torch
 
@@ -29,73 +29,75 @@ def gpu_memory(config: DictConfig) -> Iterator[None]:
         yield
     except torch.OutOfMemoryError as error:
         parts = config.trainer.accumulate_grad_batches
-        share = config.scale.batch_size // (config.trainer.devices * config.trainer.num_nodes)
-        advice = ["a GPU that nobody else uses"]
+        views = config.scale.batch_size // (config.trainer.devices * config.trainer.num_nodes)
+        advice = ["a GPU without other processes"]
         if resolved(config.trainer.precision) == "32-true":
-            advice.insert(0, "scale.precision=bf16-mixed, which takes less")
-        if parts < share:
-            more = f"{MICRO_BATCH_KEYS[config.model.predicts]}={min(2 * parts, share)}"
-            advice.insert(0, f"{more}, which computes the batch in more parts (as does batch normalisation)")
+            advice.insert(0, "scale.precision=bf16-mixed, which needs less memory")
+        if parts < views:
+            override = f"{MICRO_BATCH_KEYS[config.model.predicts]}={min(2 * parts, views)}"
+            advice.insert(0, f"{override}, which splits the batch (and its normalisation) into more parts")
         raise UserError(
-            f"GPU memory: training with {share} views a GPU in {parts} part(s) does not fit; expected a new run with "
-            f"{', or '.join(advice)}. It said: {str(error).partition(' Including')[0]}"
+            f"GPU memory: training with {views} views per GPU in {parts} part(s) does not fit; start a new run with "
+            f"{', or '.join(advice)}. PyTorch reported: {str(error).partition(' Including')[0]}"
         ) from error
 
 
-def check_shares(config: DictConfig) -> None:
-    """Check that the work can be shared out among the processes that train together.
+def check_processes(config: DictConfig) -> None:
+    """Check that the training can be split among its processes and that these are started correctly.
 
     Raises:
-        UserError: if a size is not a multiple of their number, some would have nothing to do, or a sweep, srun or
-            nobody would start them.
+        UserError: if a size is not a multiple of the number of processes, a process would have no scene or no view,
+            srun starts independent processes, several hosts are used without torchrun, or a sweep uses several
+            processes.
     """
     count = config.trainer.devices * config.trainer.num_nodes
-    # of an srun; a batch script, which runs once, has none
+    # set by srun, but not in the batch script of a job
     tasks = int(os.environ.get("SLURM_STEP_NUM_TASKS", 1))
     if tasks > 1 and not started_by_torchrun():
         raise UserError(
-            f"srun: got {tasks} tasks, which would train apart from each other; expected one (--ntasks=1), or "
-            "torchrun as one task a host, which starts those that train together: srun --ntasks-per-node=1 torchrun … "
-            "(see docs/scaling.md)"
+            f"srun: got {tasks} tasks, expected 1, because the tasks would train independently; use --ntasks=1, or one "
+            "torchrun per host: srun --ntasks-per-node=1 torchrun … (see docs/scaling.md)"
         )
     if config.trainer.num_nodes > 1 and not started_by_torchrun():
         raise UserError(
-            f"trainer.num_nodes: got {config.trainer.num_nodes} without torchrun, which would wait for the others for "
-            "ever; expected 1, or torchrun on each host (see docs/scaling.md)"
+            f"trainer.num_nodes: got {config.trainer.num_nodes} without torchrun, expected 1; start torchrun on each "
+            "host (see docs/scaling.md)"
         )
     if count == 1:
         return
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         raise UserError(
-            f"trainer.devices: got {count} processes in a sweep, whose members train on one device each; start each "
-            "member by itself, or sweep with trainer.devices=1"
+            f"trainer.devices: got {count} processes in a sweep, expected 1; set trainer.devices=1, or start each job "
+            "of the sweep as a run"
         )
     sizes = {name: config.scale[name] for name in ("parallel_scenes", "batch_size", "buffer_size")}
     for name, size in sizes.items():
         if size % count:
             raise UserError(
-                f"scale.{name}: got {size} for {count} processes, expected a multiple of {count}; change it or "
-                "trainer.devices"
+                f"scale.{name}: got {size} for {count} processes, expected a multiple of {count}; change scale.{name} "
+                "or trainer.devices"
             )
-    least = {"scenes.train": "scene", "eval_views.val": "view", "eval_views.test": "view"}
-    for name, kind in least.items():
-        if (got := OmegaConf.select(config.scale, name)) < count:
-            raise UserError(f"scale.{name}: got {got} for {count} processes, expected a {kind} for each")
+    for name in ("scenes.train", "eval_views.val", "eval_views.test"):
+        if (size := OmegaConf.select(config.scale, name)) < count:
+            raise UserError(
+                f"scale.{name}: got {size} for {count} processes, expected at least {count}; raise scale.{name} or "
+                "lower trainer.devices"
+            )
 
 
-def check_accelerator(asked: str) -> None:
-    """Check that this machine has the accelerator that the trainer is to use.
+def check_accelerator(name: str) -> None:
+    """Check that this machine has the accelerator of the trainer.
 
     Raises:
-        UserError: if it has not.
+        UserError: if the accelerator is not available.
     """
     from lightning.pytorch.accelerators import AcceleratorRegistry
 
-    known = {name: AcceleratorRegistry[name]["accelerator"] for name in AcceleratorRegistry}
-    usable = {name for name, accelerator in known.items() if accelerator.is_available()}
-    usable |= {"auto", *(["gpu"] if usable & {"cuda", "mps"} else [])}
-    if asked not in usable:
+    classes = {key: AcceleratorRegistry[key]["accelerator"] for key in AcceleratorRegistry}
+    available = {key for key, accelerator in classes.items() if accelerator.is_available()}
+    available |= {"auto", *(["gpu"] if available & {"cuda", "mps"} else [])}
+    if name not in available:
         raise UserError(
-            f"trainer.accelerator: got {asked!r}, expected one that this machine has: {', '.join(sorted(usable))}; "
-            "auto takes a GPU where PyTorch sees one"
+            f"trainer.accelerator: got {name!r}, expected one of: {', '.join(sorted(available))}; auto uses a GPU if "
+            "PyTorch detects one"
         )

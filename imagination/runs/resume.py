@@ -1,4 +1,4 @@
-"""Which run a command line asks for: a new one, or one to go on with in its folder."""
+"""Start of a new training run, or resumption of an existing one in its folder."""
 
 import logging
 import sys
@@ -13,21 +13,21 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from imagination.config.overrides import choices, key
+from imagination.config.overrides import override_key, training_overrides
 from imagination.config.trust import check_targets
 from imagination.config.user_messages import explain
 from imagination.config.validation import validate
-from imagination.runs.distributed import agree, end_with_starter, lost_another
+from imagination.runs.distributed import exit_with_parent, is_process_lost, share_run_folder
 from imagination.runs.folder import (
     COMPOSED,
     CONFIG,
     LAST,
     create_folder,
     find_latest,
-    now,
     point_latest,
-    take_back_latest,
-    within,
+    resolved_path,
+    restore_latest,
+    timestamp,
 )
 from imagination.runs.locking import locked
 from imagination.runs.logging import FILE_ONLY, logging_to
@@ -41,204 +41,229 @@ log = logging.getLogger(__name__)
 
 MAY_CHANGE = (
     *("trainer.max_epochs", "trainer.accelerator", "trainer.devices", "trainer.num_nodes", "paths."),
-    "scale.workers",  # what they compute does not depend on their number
-    "data.shards",  # a corpus may move; that it is of the same kind is checked when it is read
+    "scale.workers",  # results do not depend on the number of workers
+    "data.shards",  # the folder may have been moved; reading it checks that the dataset is of the same kind
 )
-"""What may be overridden when a run goes on; all else is the run's own, and may only be said again."""
-
+"""Prefixes of the overrides that may change when a run resumes; other overrides must equal those of the run."""
 
 PROGRAM = (
     *("callbacks", "data", "geometry", "ground_truth", "models", "scenes", "views"),
     *("utils/precision.py", "utils/process_group.py"),
 )
-"""Packages and modules whose code decides what a training makes."""
+"""Packages and modules whose code determines the result of a training."""
 
 END = "...\n"
-"""Last line of a run's composed config, YAML's mark of a document's end: without it the file was cut."""
+"""Last line of a composed config (end of a YAML document); a file without it is truncated."""
 
 
 class Run(NamedTuple):
-    """A run that this process holds.
+    """A training run.
 
     Attributes:
-        folder: its own.
-        config: composed, with `paths.run` set.
-        checkpoint: to go on from; None to begin.
-        before: name of the folder that `latest` pointed to before this run began.
+        folder: run folder.
+        config: composed config, with `paths.run` set.
+        checkpoint: checkpoint to resume from; None to start from the beginning.
+        previous_latest: name of the run folder that `latest` pointed to before.
     """
 
     folder: Path
     config: DictConfig
     checkpoint: Path | None
-    before: str | None = None
+    previous_latest: str | None = None
 
 
 @contextmanager
-def opened(config: DictConfig) -> Iterator[Run]:
-    """The run that a command line asks for, locked and with its log, until the end.
+def open_run(config: DictConfig) -> Iterator[Run]:
+    """Start or resume the run of a config; the folder is locked and the messages are logged to it.
 
     Raises:
-        UserError: if there is nothing to go on with, or it may not be changed like this.
+        UserError: if there is no run to resume, or an override would change it.
     """
-    asked = config.resume or config.ckpt_path
+    resume_requested = config.resume or config.ckpt_path
     if global_rank():
-        run = _joined(config)
+        run = join_run(config)
         try:
             yield run
         except Exception as error:
-            if lost_another(error):
-                raise lost(run.folder) from error
+            if is_process_lost(error):
+                raise lost_process_error(run.folder) from error
             raise
         return
-    folder = _existing(config) if asked else _new(config)
-    agree(folder)
+    folder = existing_run_folder(config) if resume_requested else new_run_folder(config)
+    share_run_folder(folder)
     with locked(folder), logging_to(folder / "run.log"):
-        if asked:
-            _check_changes(folder, config)
-        going_on = asked or (folder / COMPOSED).is_file()  # of a sweep's member that has not ended
+        if resume_requested:
+            check_changes(folder, config)
+        resuming = resume_requested or (folder / COMPOSED).is_file()  # unfinished job of a sweep
         remove_parts(folder)
-        run = _go_on(folder, config) if going_on else _begin(folder, config)
+        run = resume_run(folder, config) if resuming else begin_run(folder, config)
         try:
             yield run
         except Exception as error:
             log.error("The run failed", exc_info=True, extra=FILE_ONLY)
-            if "torch" in sys.modules and lost_another(error):
-                raise lost(folder) from error
-            if isinstance(error, WorkerDiedError):  # nothing is wrong with the run
-                alone = HydraConfig.get().mode != RunMode.MULTIRUN
-                hint = again(folder) if alone else f"start the sweep again with sweep_dir={folder.parent}"
+            if "torch" in sys.modules and is_process_lost(error):
+                raise lost_process_error(folder) from error
+            if isinstance(error, WorkerDiedError):  # the run itself is sound
+                hint = sweep_hint(folder) if in_sweep() else resume_hint(folder)
                 raise WorkerDiedError(f"{error}; {hint}") from error
-            if explain(error) and not (folder / LAST).is_file():  # refused: nothing to go on with
-                take_back_latest(folder, run.before)
+            if explain(error) and not (folder / LAST).is_file():  # a user error, and nothing to resume
+                restore_latest(folder, run.previous_latest)
             raise
-        except (KeyboardInterrupt, SystemExit) as stop:
-            if not _pressed(stop):
+        except (KeyboardInterrupt, SystemExit) as error:
+            if not interrupted_by_user(error):
                 raise
             last = folder / LAST
-            if HydraConfig.get().mode == RunMode.MULTIRUN:
+            if in_sweep():
                 log.warning("Interrupted")
             elif last.is_file():
-                log.warning("Interrupted. Go on with: python -m imagination.train ckpt_path=%s", last)
+                log.warning("Interrupted. Resume with: python -m imagination.train ckpt_path=%s", last)
             else:
-                log.warning("Interrupted before a round was finished; start again with the same arguments")
-            raise SystemExit(130) from stop
+                log.warning("Interrupted before the first checkpoint; start again with the same arguments")
+            raise SystemExit(130) from error
 
 
-def _joined(config: DictConfig) -> Run:
-    """The run that the first of several processes has opened; it alone writes and speaks."""
+def in_sweep() -> bool:
+    """Return whether the current run is a job of a sweep."""
+    return HydraConfig.get().mode == RunMode.MULTIRUN
+
+
+def join_run(config: DictConfig) -> Run:
+    """Return the run that rank 0 has opened; other ranks write no files and show no messages."""
     console.quiet = True
     logging.getLogger().setLevel(logging.ERROR)
     warnings.simplefilter("ignore")
-    Thread(target=end_with_starter, daemon=True).start()
-    folder = agree()
+    Thread(target=exit_with_parent, daemon=True).start()
+    folder = share_run_folder()
     if config.resume or config.ckpt_path:
-        return _go_on(folder, config)
+        return resume_run(folder, config)
     config.paths.run = str(folder)
-    config.choices = choices(HydraConfig.get().overrides.task)
+    config.choices = training_overrides(HydraConfig.get().overrides.task)
     return Run(folder, config, None)
 
 
-def lost(folder: Path) -> UserError:
-    """What to tell when another of several processes is gone."""
-    return UserError(
-        f"training: another of the processes that train together is gone, so the job stops; {again(folder)}"
-    )
+def lost_process_error(folder: Path) -> UserError:
+    """Return the error for a training process that has ended, with the way to resume the run."""
+    return UserError(f"training: another training process has ended, so the job stops; {resume_hint(folder)}")
 
 
-def again(folder: Path) -> str:
-    """What to do about a run that ended through no fault of its own."""
+def resume_hint(folder: Path) -> str:
+    """Return the advice to resume a run that was ended by an external cause."""
     last = folder / LAST
     if last.is_file():
-        return f"go on with the same command and ckpt_path={last}"
-    return "no round was finished, so start the same command again"
+        return f"resume with the same command and ckpt_path={last}"
+    return "no epoch was completed, so start the same command again"
 
 
-def _new(config: DictConfig) -> Path:
-    """A new run's folder, outputs/<name>/<date_time>; that of a sweep's member is given, and may be there already."""
-    job = HydraConfig.get().mode == RunMode.MULTIRUN
-    config.paths.run = config.paths.run if job else "."
-    OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # fails before there is a folder
-    if job:
+def sweep_hint(folder: Path) -> str:
+    """Return the advice to resume a job of a sweep that was ended by an external cause."""
+    return f"start the sweep again with sweep_dir={folder.parent}"
+
+
+def new_run_folder(config: DictConfig) -> Path:
+    """Return the folder of a new run, outputs/<name>/<date_time>; for a job of a sweep it is given and may exist."""
+    config.paths.run = config.paths.run if in_sweep() else "."
+    OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # fails before a folder is created
+    if in_sweep():
         folder = Path(config.paths.run)
         with write_errors_reported(folder):
             folder.mkdir(parents=True, exist_ok=True)
         return folder
-    return create_folder(Path(config.paths.outputs) / config.name, now())
+    return create_folder(Path(config.paths.outputs) / config.name, timestamp())
 
 
-def _begin(folder: Path, config: DictConfig) -> Run:
+def begin_run(folder: Path, config: DictConfig) -> Run:
+    """Write the config of a new run into its folder and return the run."""
     config.paths.run = str(folder)
-    config.choices, config.program = choices(HydraConfig.get().overrides.task), code_version(PROGRAM)
+    config.choices = training_overrides(HydraConfig.get().overrides.task)
+    config.program = code_version(PROGRAM)
     write_text(folder / COMPOSED, OmegaConf.to_yaml(config) + END)
     write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
-    alone = HydraConfig.get().mode != RunMode.MULTIRUN
-    return Run(folder, config, None, point_latest(folder) if alone else None)
+    return Run(folder, config, None, None if in_sweep() else point_latest(folder))
 
 
-def _existing(config: DictConfig) -> Path:
-    """The folder of the run to go on with."""
+def existing_run_folder(config: DictConfig) -> Path:
+    """Return the folder of the run to resume.
+
+    Raises:
+        UserError: if there is no such run.
+    """
     if config.ckpt_path:
         path = Path(config.ckpt_path)
         if not path.is_file():
             raise UserError(f"ckpt_path: got {path}, but there is no such file")
-        folder = within(path.resolve().parent.parent)
+        folder = resolved_path(path.resolve().parent.parent)
         if not (folder / COMPOSED).is_file():
             raise UserError(
-                f"ckpt_path: got {path}, which lies in no run's folder ({folder / COMPOSED} is missing); to use "
-                f"its weights: python -m imagination.evaluate ckpt={path}"
+                f"ckpt_path: got {path}, expected a checkpoint in a run folder ({folder / COMPOSED} is missing); to "
+                f"evaluate its weights: python -m imagination.evaluate ckpt={path}"
             )
         return folder
     if config.resume != "latest":
-        raise UserError(f"resume: got {config.resume!r}, expected latest; name a checkpoint with ckpt_path=…")
+        raise UserError(
+            f"resume: got {config.resume!r}, expected latest; set ckpt_path=… to resume from a checkpoint"
+        )
     experiment = config.name if "experiment" in HydraConfig.get().runtime.choices else None
     return find_latest(Path(config.paths.outputs), experiment)
 
 
-def _check_changes(folder: Path, config: DictConfig) -> None:
-    """Refuse overrides that would make another run of the one in `folder`; what it has already may be said again."""
-    allowed, saved = ("resume=", "ckpt_path=", "experiment=", *MAY_CHANGE), _read(folder / COMPOSED)
+def check_changes(folder: Path, config: DictConfig) -> None:
+    """Check that the overrides do not change the config of the run in `folder`; equal overrides are allowed.
+
+    Raises:
+        UserError: if an override changes a value that is not in `MAY_CHANGE`.
+    """
+    saved = read_composed_config(folder / COMPOSED)
+    allowed = ("resume=", "ckpt_path=", "experiment=", *MAY_CHANGE)
 
     def changes(text: str) -> bool:
         if text.lstrip("+").startswith(allowed) or text in saved.choices:
             return False
-        name = key(text)
-        return "/" in name or "@" in name or OmegaConf.select(config, name) != OmegaConf.select(saved, name)
+        key = override_key(text)
+        return "/" in key or "@" in key or OmegaConf.select(config, key) != OmegaConf.select(saved, key)
 
     if refused := [text for text in HydraConfig.get().overrides.task if changes(text)]:
         raise UserError(
-            f"resume: got {' '.join(refused)}, but a run goes on with its own config; only "
-            f"{', '.join(MAY_CHANGE)} may change"
+            f"resume: got {' '.join(refused)}, but a resumed run keeps its config; only {', '.join(MAY_CHANGE)} may "
+            "change; remove the override, or start a new run"
         )
 
 
-def _go_on(folder: Path, config: DictConfig) -> Run:
-    """The run in `folder` with its own config, and what may be changed of it."""
-    saved = _read(folder / COMPOSED)
+def resume_run(folder: Path, config: DictConfig) -> Run:
+    """Return the run in `folder` with its saved config and the allowed changes.
+
+    Raises:
+        UserError: if the run belongs to another experiment, or its config cannot be read.
+    """
+    saved = read_composed_config(folder / COMPOSED)
     if "experiment" in HydraConfig.get().runtime.choices and config.name != saved.name:
         raise UserError(
-            f"resume: got the experiment {config.name!r}, but the run in {folder} is of {saved.name!r}"
+            f"resume: got the experiment {config.name!r}, expected {saved.name!r} for the run in {folder}"
         )
     overrides = HydraConfig.get().overrides.task
     changes = [text.lstrip("+") for text in overrides if text.lstrip("+").startswith(MAY_CHANGE)]
-    for name in (text.partition("=")[0] for text in changes):
-        OmegaConf.update(saved, name, OmegaConf.select(config, name))
+    for key in (text.partition("=")[0] for text in changes):
+        OmegaConf.update(saved, key, OmegaConf.select(config, key))
     saved.paths.run = str(folder)
     if OmegaConf.select(saved, "program") != code_version(PROGRAM):
-        log.warning("%s: the program has changed since this run began; it goes on with today's", folder)
+        log.warning("%s: the program has changed since the start of this run", folder)
     checkpoint = Path(config.ckpt_path) if config.ckpt_path else folder / LAST
     if not checkpoint.is_file():
-        log.warning("%s: no round was finished, so the run begins anew with its own config", folder)
+        log.warning("%s: no epoch was completed, so the run starts from the beginning", folder)
         return Run(folder, saved, None, folder.name)
     return Run(folder, saved, checkpoint, folder.name)
 
 
-def _read(path: Path) -> DictConfig:
-    """A run's composed config, checked."""
+def read_composed_config(path: Path) -> DictConfig:
+    """Read and check the composed config of a run.
+
+    Raises:
+        UserError: if the file is damaged or holds invalid values or untrusted targets.
+    """
     try:
         text = path.read_text()
         if not text.endswith(END):
             raise UserError(
-                f"config {path}: is truncated, its last line is not {END.strip()!r}; start a new run"
+                f"config {path}: is truncated, expected the last line {END.strip()!r}; start a new run"
             )
         saved = OmegaConf.create(text)
         assert isinstance(saved, DictConfig)
@@ -247,11 +272,11 @@ def _read(path: Path) -> DictConfig:
         check_targets(saved)
     except UserError:
         raise
-    except Exception as error:  # yaml raises anything on what looks like a date or a number
+    except Exception as error:  # PyYAML raises errors of any type on malformed dates and numbers
         raise UserError(f"config {path}: is truncated or damaged ({error}); start a new run") from error
     return saved
 
 
-def _pressed(stop: BaseException) -> bool:
-    """Whether Ctrl-C is behind it: Lightning turns it into SystemExit."""
-    return isinstance(stop, KeyboardInterrupt) or isinstance(stop.__context__, KeyboardInterrupt)
+def interrupted_by_user(error: BaseException) -> bool:
+    """Return whether Ctrl-C caused an error; Lightning turns KeyboardInterrupt into SystemExit."""
+    return isinstance(error, KeyboardInterrupt) or isinstance(error.__context__, KeyboardInterrupt)

@@ -1,7 +1,7 @@
-"""Sweeps: each member runs for itself, a mistake in one stops no other, and the end tells which failed and why.
+"""Sweeps: independent jobs, where a failed job does not stop the others, and a summary of the failures at the end.
 
-`sweep_dir=<folder of an earlier sweep>` runs the members that are missing there, failed or were stopped; those that
-have a checkpoint go on from it. Started twice at once, two processes share a sweep's members.
+`sweep_dir=<folder of an earlier sweep>` runs the jobs of that sweep that are missing, failed or stopped; jobs with a
+checkpoint resume from it. Several processes may run the same sweep at once and divide the jobs among them.
 """
 
 import shlex
@@ -19,113 +19,120 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from imagination.config.compose import compose
-from imagination.config.overrides import key
+from imagination.config.overrides import override_key
 from imagination.config.plugin_registry import activate
 from imagination.config.user_messages import explain, user_errors_reported
 from imagination.config.validation import validate
 from imagination.runs import sweep_jobs
-from imagination.runs.folder import within
+from imagination.runs.folder import resolved_path
 from imagination.runs.locking import BusyError, locked
 from imagination.utils.errors import UserError
-from imagination.utils.timing import shares
+from imagination.utils.timing import stage_timer
 
-STEERING = ("sweep", "hparams_search", "sweep_dir")
-"""Overrides that say how to sweep, not what a member is."""
+SWEEP_KEYS = ("sweep", "hparams_search", "sweep_dir")
+"""Keys of overrides that configure the sweep, not its jobs."""
 
 
 class Sweep(Callback):
-    """What Hydra calls around a sweep."""
+    """Hydra callback that registers the jobs of a sweep before it starts and summarizes them at the end."""
 
-    def on_multirun_start(self, config: DictConfig, **about: Any) -> None:
-        """List all members before the first begins; a search chooses them as it goes."""
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Register all jobs before the first one starts; a hyperparameter search registers them one by one."""
         if config.hydra.sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
             with user_errors_reported():
-                plan(config.hydra, str(about["config_name"]))
+                register_jobs(config.hydra, str(kwargs["config_name"]))
 
-    def on_multirun_end(self, config: DictConfig, **about: Any) -> None:
-        """Tell how the members ended; the exit code is 1 if one failed."""
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Print the failed jobs and the command that continues the sweep; exit with code 1 if a job failed."""
         folder = Path(config.hydra.sweep.dir)
-        every = sweep_jobs.read(folder)
-        done = sum(job.state == "done" for job in every)
+        jobs = sweep_jobs.read(folder)
+        done = sum(job.state == "done" for job in jobs)
         print(
-            f"Sweep {folder}: {done} of {len(every)} members done ({folder / sweep_jobs.FILE})",
+            f"Sweep {folder}: {done} of {len(jobs)} jobs done ({folder / sweep_jobs.FILE})",
             file=sys.stderr,
         )
-        failed = [job for job in every if job.state == "failed"]
+        failed = [job for job in jobs if job.state == "failed"]
         for job in failed:
             print(f"  {job.folder} failed ({job.overrides}): {job.problem}", file=sys.stderr)
-        if done < len(every):
-            again = [_lasting(text) for text in sys.argv[1:] if not text.startswith("sweep_dir=")]
-            command = shlex.join(["python", "-m", f"imagination.{config.hydra.job.name}", *again])
-            print(f"Run what is not done: {command} sweep_dir={folder}", file=sys.stderr)
+        if done < len(jobs):
+            arguments = [
+                _permanent_argument(text) for text in sys.argv[1:] if not text.startswith("sweep_dir=")
+            ]
+            command = shlex.join(["python", "-m", f"imagination.{config.hydra.job.name}", *arguments])
+            print(f"Run the remaining jobs: {command} sweep_dir={folder}", file=sys.stderr)
         if failed:
             sys.exit(1)
 
 
-def _lasting(text: str) -> str:
-    """The same argument tomorrow, when `latest` is another run."""
+def _permanent_argument(text: str) -> str:
+    """Return an argument with symlinks resolved, because `latest` may point to another run later."""
     path = Path(text.removeprefix("ckpt="))
-    return f"ckpt={within(path)}" if text.startswith("ckpt=") and path.is_file() else text
+    return f"ckpt={resolved_path(path)}" if text.startswith("ckpt=") and path.is_file() else text
 
 
-def plan(hydra: DictConfig, config_name: str) -> None:
-    """Enrol every member of a sweep over lists of values.
+def register_jobs(hydra: DictConfig, config_name: str) -> None:
+    """Register all jobs of a sweep over lists of values.
+
+    Args:
+        hydra: config node of Hydra.
+        config_name: name of the command.
 
     Raises:
-        UserError: if two members would train the same unit, and only evaluate it in another way.
+        UserError: if two jobs would train the same unit and differ only in its evaluation.
     """
-    given = [
+    arguments = [
         *(f"{key}={value}" for key, value in (hydra.sweeper.params or {}).items()),
         *hydra.overrides.task,
     ]
-    parsed = OverridesParser.create(GlobalHydra.instance().config_loader()).parse_overrides(given)
-    trained: dict[str, str] = {}
-    enrolments = []
-    for overrides in BasicSweeper.split_arguments(parsed, None)[0]:
-        config, told = compose(config_name, list(overrides)), job_overrides(overrides)
-        key = sweep_jobs.key_of(config)
-        same = trained.setdefault(sweep_jobs.key_of(config, sweep_jobs.EVALUATION_ONLY), key)
-        if config_name == "train" and same != key:
+    parsed = OverridesParser.create(GlobalHydra.instance().config_loader()).parse_overrides(arguments)
+    trainings: dict[str, str] = {}
+    jobs = []
+    for arguments in BasicSweeper.split_arguments(parsed, None)[0]:
+        config, overrides = compose(config_name, list(arguments)), job_overrides(arguments)
+        key = sweep_jobs.config_key(config)
+        first = trainings.setdefault(sweep_jobs.config_key(config, sweep_jobs.EVALUATION_ONLY), key)
+        if config_name == "train" and first != key:
             raise UserError(
-                f"sweep: {shlex.join(told)} differs from another member only in what evaluation reads; "
-                "train once, then sweep that with python -m imagination.evaluate -m ckpt=…"
+                f"sweep: got {shlex.join(overrides)}, which differs from another job only in the evaluation; train "
+                "once, then sweep the evaluation with python -m imagination.evaluate -m ckpt=…"
             )
-        enrolments.append((key, told))
-    for key, told in enrolments:
-        sweep_jobs.register(Path(hydra.sweep.dir), key, told)
+        jobs.append((key, overrides))
+    for key, overrides in jobs:
+        sweep_jobs.register(Path(hydra.sweep.dir), key, overrides)
 
 
 def job_overrides(overrides: list[str]) -> list[str]:
-    """The overrides that say what a member is."""
-    return [text for text in overrides if key(text) not in STEERING]
+    """Return the overrides that configure a job, without those that configure the sweep."""
+    return [text for text in overrides if override_key(text) not in SWEEP_KEYS]
 
 
 def run_job(task: Callable[[DictConfig], float | None], config: DictConfig) -> float | None:
-    """Run one member in its folder, `paths.run`; what goes wrong is told and recorded, and the sweep goes on."""
-    activate()  # a launcher may have started this process
+    """Run one job in its folder, `paths.run`, and return its score; an error is printed and recorded, not raised."""
+    activate()  # a launcher may have started this process without plugins
     hydra = HydraConfig.get()
-    sweep, key = Path(hydra.sweep.dir), sweep_jobs.key_of(config)
-    about = sweep, key, job_overrides(list(hydra.overrides.task))
-    job = sweep_jobs.register(*about)
+    sweep, key = Path(hydra.sweep.dir), sweep_jobs.config_key(config)
+    overrides = job_overrides(list(hydra.overrides.task))
+    job = sweep_jobs.register(sweep, key, overrides)
     try:
         with locked(sweep, sweep_jobs.lock_name(job)):
-            job = sweep_jobs.register(*about)  # what another process may have done meanwhile
+            job = sweep_jobs.register(sweep, key, overrides)  # another process may have finished it
             if job.state == "done":
                 return float(job.score) if job.score else None
-            print(f"Member {job.folder}: {job.overrides}", file=sys.stderr)
+            print(f"Job {job.folder}: {job.overrides}", file=sys.stderr)
             sweep_jobs.update(sweep, key, state="running", problem="")
-            shares.restart()
+            stage_timer.restart()
             config.paths.run = str(sweep / job.folder)
             validate(config)
             score = task(config)
             sweep_jobs.update(sweep, key, state="done", score="" if score is None else repr(score))
             return score
     except BusyError as error:
-        print(f"Member {job.folder} is left out: {error}", file=sys.stderr)
+        print(f"Job {job.folder} is skipped: {error}", file=sys.stderr)
     except (KeyboardInterrupt, SystemExit):
         sweep_jobs.update(sweep, key, state="stopped")
         print(
-            f"The sweep was stopped; go on with the same command line and sweep_dir={sweep}", file=sys.stderr
+            f"The sweep was stopped; continue with the same command line and sweep_dir={sweep}",
+            file=sys.stderr,
         )
         raise
     except Exception as error:

@@ -1,19 +1,17 @@
-"""The members of a sweep: jobs.csv in the sweep's folder, one line each, in the order of the sweep.
+"""Table of the jobs of a sweep: jobs.csv in the folder of the sweep, one row per job, in the order of the sweep.
 
-    folder      name of the member's folder in the sweep's; it appears when the member begins
-    key         hash of the member's resolved config: the same member of an earlier start has the same
-    state       missing (not begun), running, done, failed, or stopped (by Ctrl-C or a kill)
-    score       of a unit that was trained: its best egocentric IoU on validation scenes; else empty
-    overrides   the member's command line, quoted as in a shell
-    problem     why it failed
+    folder      name of the job's folder in the folder of the sweep, created when the job starts
+    key         hash of the job's resolved config, which identifies the job when the sweep is started again
+    state       missing (not started), running, done, failed, or stopped (by Ctrl-C or a kill)
+    score       best egocentric IoU on validation scenes if the job trains a unit, else empty
+    overrides   overrides of the job, quoted as in a shell
+    problem     error message of a failed job
 
-`read` gives the lines; the file itself says `running` of a member that was killed, since nobody was left to write.
+In the file, a killed job has the state `running`, because it could not update its row; `read` returns `stopped`.
 """
 
 import csv
-import fcntl
 import hashlib
-import io
 import json
 import shlex
 import shutil
@@ -28,9 +26,11 @@ from omegaconf.errors import OmegaConfBaseException
 from imagination.runs.locking import BusyError, locked
 from imagination.utils.atomic_io import PART, write_text
 from imagination.utils.errors import UserError
-from imagination.utils.tabular import read_csv
+from imagination.utils.file_lock import locked_file
+from imagination.utils.tabular import csv_text, read_csv
 
 FILE = "jobs.csv"
+"""File name of the table."""
 
 EVALUATION_ONLY = (
     "evaluation",
@@ -42,11 +42,11 @@ EVALUATION_ONLY = (
     "scale.orientations",
     "scale.eval_scenes",
 )
-"""Nodes that only evaluation reads."""
+"""Config nodes that only the evaluation reads."""
 
 
 class Job(NamedTuple):
-    """One line of the file."""
+    """Row of the table."""
 
     folder: str
     key: str
@@ -57,24 +57,24 @@ class Job(NamedTuple):
 
 
 def read(sweep: Path) -> list[Job]:
-    """The members of a sweep, as they are now.
+    """Return the jobs of a sweep with their current state.
 
     Raises:
-        UserError: if the folder is not a sweep's.
+        UserError: if the folder is not that of a sweep, or the table is damaged.
     """
     if not (sweep / FILE).is_file():
         raise UserError(
-            f"sweep {sweep}: holds no {FILE}; expected the folder of a sweep (train or evaluate with -m)"
+            f"sweep {sweep}: got a folder without {FILE}, expected the folder of a sweep (train or evaluate with -m)"
         )
     return [
-        job._replace(state="stopped") if job.state == "running" and not _held(sweep, job) else job
+        job._replace(state="stopped") if job.state == "running" and not _is_locked(sweep, job) else job
         for job in _load(sweep)
     ]
 
 
 def register(sweep: Path, key: str, overrides: Sequence[str]) -> Job:
-    """The member with this key; a new one gets the next number as its folder."""
-    with _exclusively(sweep):
+    """Return the job with this key; a new job is added with the next number as its folder."""
+    with _table_locked(sweep):
         jobs = _load(sweep)
         for job in jobs:
             if job.key == key:
@@ -85,45 +85,45 @@ def register(sweep: Path, key: str, overrides: Sequence[str]) -> Job:
 
 
 def update(sweep: Path, key: str, **changes: str) -> None:
-    """Change what the file says of a member."""
-    with _exclusively(sweep):
-        _save(sweep, [m._replace(**changes) if m.key == key else m for m in _load(sweep)])
+    """Change columns of the job with this key."""
+    with _table_locked(sweep):
+        _save(sweep, [job._replace(**changes) if job.key == key else job for job in _load(sweep)])
 
 
 def lock_name(job: Job) -> str:
-    """Name of the file in the sweep's folder that the process running the member holds."""
+    """Return the name of the lock file, in the folder of the sweep, of the process that runs a job."""
     return f".{job.folder}.lock"
 
 
-def key_of(config: DictConfig, without: Sequence[str] = ()) -> str:
-    """Hash of what a member computes: its resolved config, without the folders and the cache that it uses.
+def config_key(config: DictConfig, ignored: Sequence[str] = ()) -> str:
+    """Return the hash of a resolved config without its folders, its cache and the version of the program.
 
     Args:
-        config: composed.
-        without: nodes to leave out as well, such as "mapping" or "scale.cell_widths".
+        config: composed config.
+        ignored: further nodes to leave out, such as "mapping" or "scale.cell_widths".
     """
     values: Any = OmegaConf.to_container(config)
     values["paths"] |= {"outputs": "", "cache": "", "run": ""}
     values["sweep_dir"] = values["cache"] = values["program"] = ""
-    if "ckpt" in values:  # `latest` will be another one tomorrow
+    if "ckpt" in values:  # `latest` may point to another run later
         paths = [values["ckpt"]] if isinstance(values["ckpt"], str) else values["ckpt"]
         values["ckpt"] = [str(Path(path).resolve()) for path in paths]
-    with suppress(OmegaConfBaseException):  # a mistake, which the member will tell
+    with suppress(OmegaConfBaseException):  # reported when the job starts
         values = OmegaConf.to_container(OmegaConf.create(values), resolve=True)
-    for name in without:
+    for name in ignored:
         _remove(values, name.split("."))
     text = json.dumps(values, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _remove(node: Any, path: Sequence[str]) -> None:
-    *above, last = path
-    for name in above:
+    *parents, leaf = path
+    for name in parents:
         node = node.get(name, {})
-    node.pop(last, None)
+    node.pop(leaf, None)
 
 
-def _held(sweep: Path, job: Job) -> bool:
+def _is_locked(sweep: Path, job: Job) -> bool:
     try:
         with locked(sweep, lock_name(job)):
             return False
@@ -132,12 +132,11 @@ def _held(sweep: Path, job: Job) -> bool:
 
 
 @contextmanager
-def _exclusively(sweep: Path) -> Iterator[None]:
-    """No other process changes the file meanwhile."""
+def _table_locked(sweep: Path) -> Iterator[None]:
+    """Hold an exclusive lock on the table, which other processes may change as well."""
     sweep.mkdir(parents=True, exist_ok=True)
-    with open(sweep / ".members.lock", "a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        for scratch in sweep.glob(f".{FILE}.*{PART}"):  # of a process that was killed
+    with locked_file(sweep / ".jobs.lock"):
+        for scratch in sweep.glob(f".{FILE}.*{PART}"):  # left by a killed process
             shutil.rmtree(scratch)
         yield
 
@@ -148,18 +147,15 @@ def _load(sweep: Path) -> list[Job]:
     try:
         rows = read_csv(sweep / FILE)
         if any(row.keys() != set(Job._fields) for row in rows):
-            raise ValueError(f"its columns are not {','.join(Job._fields)}")
-        if odd := [row["folder"] for row in rows if not row["folder"].isdecimal()]:
-            raise ValueError(f"got the folder {odd[0]!r}, expected a number")
+            raise ValueError(f"expected the columns {','.join(Job._fields)}")
+        if invalid := [row["folder"] for row in rows if not row["folder"].isdecimal()]:
+            raise ValueError(f"got the folder {invalid[0]!r}, expected a number")
         return [Job(**row) for row in rows]
     except (OSError, ValueError, csv.Error) as error:
         raise UserError(
-            f"{sweep / FILE}: cannot be read ({error}); restore it, or give another folder with sweep_dir=…"
+            f"{sweep / FILE}: cannot be read ({error}); restore the file, or use another folder with sweep_dir=…"
         ) from error
 
 
 def _save(sweep: Path, jobs: Sequence[Job]) -> None:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows([Job._fields, *jobs])
-    write_text(sweep / FILE, text.getvalue())
+    write_text(sweep / FILE, csv_text([Job._fields, *jobs]))

@@ -1,1 +1,1 @@
-"""Where views come from: scenes, their sources, the renderer and the procedural homes."""
+"""Scenes, scene sources, free space, the renderer and procedural homes."""

@@ -1,4 +1,4 @@
-"""The category table: the one place where classes are known."""
+"""Category table, the only definition of the classes."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,12 +9,12 @@ from imagination.utils.errors import UserError, check_choice
 
 @dataclass(frozen=True)
 class Category:
-    """One kind of object.
+    """Category of objects.
 
     Attributes:
-        name: as used in configs and tables, e.g. "chair".
-        colour: RGB, 0 to 255, for drawing only.
-        aliases: for each scene source, the labels of that source that belong to this category.
+        name: name in configurations and tables, e.g. "chair".
+        colour: RGB colour for figures, 0 to 255.
+        aliases: labels of this category in each scene source.
     """
 
     name: str
@@ -23,10 +23,10 @@ class Category:
 
 
 class CategoryTable:
-    """Categories in order. A category's index in images of categories is its row + 1; 0 means none.
+    """Ordered table of categories; the index of a category in segmented images is its row + 1, 0 is background.
 
     Raises:
-        UserError: on an empty table, a repeated name, or a label that two categories claim.
+        UserError: if the table is empty, a name is repeated, or a label belongs to two categories.
     """
 
     def __init__(self, rows: Sequence[Category]) -> None:
@@ -34,22 +34,22 @@ class CategoryTable:
             raise UserError("categories: got an empty table, expected at least one row (see conf/categories)")
         names = [row.name for row in rows]
         if len(set(names)) < len(names):
-            raise UserError(f"categories: got the names {names}, expected each name once")
+            raise UserError(f"categories: got the names {names}, expected unique names")
         self.rows = tuple(rows)
         self._by_label: dict[tuple[str, str], str] = {}
         for row in rows:
             for source, labels in row.aliases.items():
                 for label in labels:
-                    other = self._by_label.setdefault((source, label), row.name)
-                    if other != row.name:
+                    owner = self._by_label.setdefault((source, label), row.name)
+                    if owner != row.name:
                         raise UserError(
-                            f"categories: label {label!r} of {source} belongs to both {other} and {row.name}; "
-                            "leave it in one of them"
+                            f"categories: got label {label!r} of {source} in both {owner} and {row.name}, expected it "
+                            "in one of them; remove it from the other"
                         )
 
     @classmethod
     def from_config(cls, config: Mapping[str, Mapping[str, Any]]) -> "CategoryTable":
-        """Build the table from conf/categories: {name: {colour: [r, g, b], aliases: {source: [label]}}}."""
+        """Build the table from a configuration {name: {colour: [r, g, b], aliases: {source: [label]}}}."""
         rows = [Category(name, tuple(row["colour"]), row.get("aliases", {})) for name, row in config.items()]
         return cls(rows)
 
@@ -64,14 +64,14 @@ class CategoryTable:
         return [row.name for row in self.rows]
 
     def index(self, name: str) -> int:
-        """Index of a category in images of categories: its row + 1.
+        """Return the index of a category in segmented images: its row + 1.
 
         Raises:
-            UserError: if no such category exists, with the names that do.
+            UserError: if there is no such category; the message lists the names.
         """
         check_choice("category", name, self.names)
         return self.names.index(name) + 1
 
     def of_label(self, source: str, label: str) -> str | None:
-        """Category of a label that a scene source uses, None if it belongs to none."""
+        """Return the category of a label of a scene source, or None."""
         return self._by_label.get((source, label))

@@ -1,6 +1,6 @@
-"""The ray-cast renderer: embree finds what each pixel sees, two numba kernels make the rays and the image.
+"""Ray-casting renderer: Embree intersects the rays, two Numba kernels generate the rays and shade the image.
 
-One renderer uses one core; run a process a core. The same scene and camera always give the same image.
+A renderer uses one core; run one process for each core. Rendering is deterministic.
 """
 
 from typing import NamedTuple, Protocol, cast, runtime_checkable
@@ -17,12 +17,12 @@ from imagination.utils.jit import compiled
 
 
 class Image(NamedTuple):
-    """What a camera sees.
+    """Rendered image.
 
     Attributes:
-        rgb: black where nothing returned.
-        depth: metres along the optical axis, 0 where nothing returned.
-        instance: the object's id, 0 for the building, -1 where nothing returned.
+        rgb: colour, black where there is no return.
+        depth: depth along the optical axis, metres; 0 where there is no return.
+        instance: instance id of the object, 0 for the building, -1 where there is no return.
     """
 
     rgb: UInt8[np.ndarray, "h w 3"]
@@ -32,14 +32,14 @@ class Image(NamedTuple):
 
 @runtime_checkable
 class SceneRenderer(Protocol):
-    """Renders one scene."""
+    """Renderer of one scene."""
 
     def render(self, camera: Camera, camera_to_world: Float[np.ndarray, "4 4"], colour: bool = True) -> Image:
-        """What `camera` sees from a pose with six degrees of freedom, as `Renderer.render` gives it."""
+        """Render the image of `camera` from a pose with six degrees of freedom, as `Renderer.render`."""
 
 
 class _Atlas(NamedTuple):
-    """All textures in a row; `start`, `height` and `width` tell where each material's lies (height 0: none)."""
+    """Texels of all textures, with start, height and width of the texture of each material (height 0: no texture)."""
 
     texels: UInt8[np.ndarray, "t 3"]
     start: Int32[np.ndarray, " k"]
@@ -48,7 +48,7 @@ class _Atlas(NamedTuple):
 
 
 class _Faces(NamedTuple):
-    """What shading needs to know of each face; `shade` is its colour from the front and from the back, 0 to 255."""
+    """Shading data of each face; `shade` is its colour from the front and from the back, 0 to 255."""
 
     instance: Int32[np.ndarray, " m"]
     material: Int32[np.ndarray, " m"]
@@ -57,8 +57,10 @@ class _Faces(NamedTuple):
 
 
 class _Hits(NamedTuple):
-    """What each ray hit: the face (-1: none), the weights of its second and third corner, the depth, and the normal on
-    the side from which the corners run counter-clockwise."""
+    """Intersection of each ray: face (-1: no hit), weights of its second and third corner, depth, and normal.
+
+    The normal is on the side from which the corners run counter-clockwise.
+    """
 
     face: Int32[np.ndarray, " n"]
     second: Float32[np.ndarray, " n"]
@@ -68,33 +70,35 @@ class _Hits(NamedTuple):
 
 
 class Renderer:
-    """Renders one mesh from any pinhole camera in any pose.
+    """Renderer of one mesh for any pinhole camera in any pose.
 
-    Surfaces are matt and look the same from both sides: a face's colour is the material's times the sum of the ambient
-    light and, for each light, its colour times the cosine between the direction to the light and the side's normal.
+    Surfaces are Lambertian and two-sided: the colour of a face is that of its material, times the sum of the ambient
+    light and, for each light, its colour times the cosine between the direction to the light and the normal.
 
     Args:
-        mesh: of the whole scene, copied into the ray caster.
-        lighting: of the scene.
+        mesh: mesh of the whole scene; the ray caster copies it.
+        lighting: lighting of the scene.
 
     Raises:
-        UserError: if the mesh is empty, or not finite, or refers to vertices or materials that do not exist.
+        UserError: if the mesh is empty or not finite, or refers to vertices or materials that do not exist.
     """
 
     def __init__(self, mesh: Mesh, lighting: Lighting) -> None:
         _check(mesh)
         self._scene = EmbreeScene()
-        self._triangles = TriangleMesh(self._scene, mesh.vertices, mesh.faces)  # kept alive with the scene
+        self._triangles = TriangleMesh(
+            self._scene, mesh.vertices, mesh.faces
+        )  # must live as long as the scene
         self._faces = _Faces(mesh.face_instance, mesh.face_material, mesh.face_uv, _shades(mesh, lighting))
         self._atlas = _pack(mesh.materials)
 
     def render(self, camera: Camera, camera_to_world: Float[np.ndarray, "4 4"], colour: bool = True) -> Image:
-        """What `camera` sees from a pose with six degrees of freedom.
+        """Render the image of `camera` from a pose with six degrees of freedom.
 
         Args:
-            camera: its size and field of view; its mounting is already part of the pose.
-            camera_to_world: rigid transform from the optical frame (x right, y down, z forward) to the world's.
-            colour: whether `rgb` will be looked at; a renderer may leave it black otherwise.
+            camera: camera whose size and field of view are used; its mounting is part of the pose.
+            camera_to_world: rigid transform from the optical frame (x right, y down, z forward) to the world frame.
+            colour: whether `rgb` is needed; a renderer may leave it black otherwise.
 
         Raises:
             UserError: if the pose is not a finite rigid transform.
@@ -123,7 +127,7 @@ class Renderer:
 
 
 def renderer_of(scene: Scene) -> SceneRenderer:
-    """The scene's own renderer if it brings one, else the ray caster of its mesh."""
+    """Return the renderer of the scene if it has one, else a ray caster of its mesh."""
     if scene.renderer is not None:
         return cast(SceneRenderer, scene.renderer)
     return Renderer(scene.mesh, scene.lighting)
@@ -136,7 +140,7 @@ def _check(mesh: Mesh) -> None:
     for name in ("face_instance", "face_material", "face_uv"):
         if len(getattr(mesh, name)) != count:
             raise UserError(
-                f"renderer: got {len(getattr(mesh, name))} rows of mesh.{name}, expected {count}, one a face"
+                f"renderer: got {len(getattr(mesh, name))} rows of mesh.{name}, expected {count}, one for each face"
             )
     for name in ("vertices", "face_uv"):
         if not np.isfinite(getattr(mesh, name)).all():
@@ -149,11 +153,11 @@ def _check(mesh: Mesh) -> None:
         )
 
 
-def _check_indices(name: str, indices: Int32[np.ndarray, "..."], count: int, of: str) -> None:
+def _check_indices(name: str, indices: Int32[np.ndarray, "..."], count: int, target: str) -> None:
     low, high = int(indices.min()), int(indices.max())
     if low < 0 or high >= count:
         raise UserError(
-            f"renderer: got indices {low} to {high} in mesh.{name}, expected 0 to {count - 1}, one of {of}"
+            f"renderer: got indices {low} to {high} in mesh.{name}, expected 0 to {count - 1}, the {target} of the mesh"
         )
 
 
@@ -161,13 +165,12 @@ def _check_pose(camera_to_world: Float[np.ndarray, "4 4"]) -> None:
     rotation = camera_to_world[:3, :3]
     if not np.isfinite(camera_to_world).all() or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
         raise UserError(
-            f"renderer: got the camera pose {camera_to_world.tolist()}, expected finite "
-            "numbers that rotate and shift"
+            f"renderer: got the camera pose {camera_to_world.tolist()}, expected a finite rigid transform"
         )
 
 
 def _shades(mesh: Mesh, lighting: Lighting) -> Float32[np.ndarray, "m 2 3"]:
-    """Colour of each face's front (where its corners run counter-clockwise) and back, 0 to 255, before the texture."""
+    """Return the colour of the front (corners counter-clockwise) and back of each face without texture, 0 to 255."""
     corners = mesh.vertices[mesh.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(np.float32).tiny)
@@ -179,6 +182,7 @@ def _shades(mesh: Mesh, lighting: Lighting) -> Float32[np.ndarray, "m 2 3"]:
 
 
 def _pack(materials: tuple[Material, ...]) -> _Atlas:
+    """Pack the textures of all materials into one array of texels."""
     textures = [m.texture if m.texture is not None else np.zeros((0, 0, 3), np.uint8) for m in materials]
     texels = np.concatenate([texture.reshape(-1, 3) for texture in textures])
     height, width = np.array([texture.shape[:2] for texture in textures], np.int32).T
@@ -195,8 +199,11 @@ def _rays(
     centre_y: float,
     camera_to_world: Float[np.ndarray, "4 4"],
 ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
-    """Origins and directions in the world, row by row. Along the optical axis each direction measures 1, so that the
-    distance the ray caster returns, in lengths of the direction, is the depth itself."""
+    """Return the origins and directions of the rays in the world frame, row by row.
+
+    The component of each direction along the optical axis is 1, so that the distance of a hit, in lengths of the
+    direction, is the depth.
+    """
     origins = np.empty((height * width, 3), np.float32)
     directions = np.empty((height * width, 3), np.float32)
     origin, rotation = camera_to_world[:3, 3], camera_to_world[:3, :3]
@@ -225,8 +232,8 @@ def _shade(
     depth: Float32[np.ndarray, " n"],
     instance: Int32[np.ndarray, " n"],
 ) -> None:
-    """Fill the image from what the rays hit."""
-    half, most = np.float32(0.5), np.float32(255)
+    """Shade the image from the hits of the rays."""
+    half, white = np.float32(0.5), np.float32(255)
     for ray in range(hits.face.shape[0]):
         face = hits.face[ray]
         if face < 0:
@@ -242,7 +249,7 @@ def _shade(
         material = faces.material[face]
         if atlas.height[material] == 0:
             for channel in range(3):
-                rgb[ray, channel] = min(faces.shade[face, side, channel] + half, most)
+                rgb[ray, channel] = min(faces.shade[face, side, channel] + half, white)
             continue
         second, third = hits.second[ray], hits.third[ray]
         first = np.float32(1) - second - third
@@ -250,14 +257,14 @@ def _shade(
         v = first * faces.uv[face, 0, 1] + second * faces.uv[face, 1, 1] + third * faces.uv[face, 2, 1]
         texel = _texel(atlas, material, u, v)
         for channel in range(3):
-            rgb[ray, channel] = min(faces.shade[face, side, channel] * texel[channel] + half, most)
+            rgb[ray, channel] = min(faces.shade[face, side, channel] * texel[channel] + half, white)
 
 
 @compiled
 def _texel(
     atlas: _Atlas, material: int, u: np.float32, v: np.float32
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Bilinear colour, 0 to 1, of a repeating texture; its first row is at the top, where v is 1."""
+    """Return the bilinear colour, 0 to 1, of a repeating texture; its first row is at the top (v = 1)."""
     start, height, width = atlas.start[material], atlas.height[material], atlas.width[material]
     left, right, to_right = _neighbours(u - np.floor(u), width)
     upper, lower, to_lower = _neighbours(np.ceil(v) - v, height)
@@ -269,35 +276,35 @@ def _texel(
         to_lower * to_right * scale,
     )
     upper, lower = start + upper * width, start + lower * width
-    places = (upper + left, upper + right, lower + left, lower + right)
+    indices = (upper + left, upper + right, lower + left, lower + right)
     return (
-        _mix(atlas.texels, places, weights, 0),
-        _mix(atlas.texels, places, weights, 1),
-        _mix(atlas.texels, places, weights, 2),
+        _mix(atlas.texels, indices, weights, 0),
+        _mix(atlas.texels, indices, weights, 1),
+        _mix(atlas.texels, indices, weights, 2),
     )
 
 
 @compiled
-def _neighbours(share: np.float32, count: int) -> tuple[int, int, np.float32]:
-    """The two texels whose centres lie around `share` (0 to 1) of the way through `count`; how near the second is."""
-    place = share * np.float32(count) - np.float32(0.5)
-    first = int(np.floor(place))
+def _neighbours(fraction: np.float32, count: int) -> tuple[int, int, np.float32]:
+    """Return the two of `count` texels next to the coordinate `fraction` (0 to 1), and the weight of the second."""
+    position = fraction * np.float32(count) - np.float32(0.5)
+    first = int(np.floor(position))
     second = first + 1
-    nearness = place - np.float32(first)
-    return (first if first >= 0 else count - 1), (second if second < count else 0), nearness
+    weight = position - np.float32(first)
+    return (first if first >= 0 else count - 1), (second if second < count else 0), weight
 
 
 @compiled
 def _mix(
     texels: UInt8[np.ndarray, "t 3"],
-    places: tuple[int, int, int, int],
+    indices: tuple[int, int, int, int],
     weights: tuple[np.float32, np.float32, np.float32, np.float32],
     channel: int,
 ) -> np.float32:
-    """Weighted sum of one channel of four texels."""
+    """Return the weighted sum of one channel of four texels."""
     return (
-        weights[0] * np.float32(texels[places[0], channel])
-        + weights[1] * np.float32(texels[places[1], channel])
-        + weights[2] * np.float32(texels[places[2], channel])
-        + weights[3] * np.float32(texels[places[3], channel])
+        weights[0] * np.float32(texels[indices[0], channel])
+        + weights[1] * np.float32(texels[indices[1], channel])
+        + weights[2] * np.float32(texels[indices[2], channel])
+        + weights[3] * np.float32(texels[indices[3], channel])
     )

@@ -1,4 +1,4 @@
-"""The interfaces every scene source fulfils: Scene, and SceneSource that loads scenes by name."""
+"""Data classes of a scene: mesh, materials, lighting, objects and free space."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,11 +13,11 @@ from imagination.geometry.pose import Pose
 
 @dataclass(frozen=True)
 class OrientedBox:
-    """A box that stands upright: only its yaw turns it.
+    """Upright box with a yaw angle.
 
     Attributes:
         centre: world x, y, z of the box's centre, metres.
-        size: extents along the box's own x, y, z axes, metres.
+        size: extents along the x, y, z axes of the box, metres.
         yaw: counter-clockwise angle of the box's x axis from world +x, radians.
     """
 
@@ -26,7 +26,7 @@ class OrientedBox:
     yaw: float
 
     def footprint(self) -> Float[np.ndarray, "4 2"]:
-        """World x, y of the four corners seen from above, counter-clockwise, metres."""
+        """Return the world x, y of the four corners seen from above, counter-clockwise, metres."""
         half = np.array(self.size[:2]) / 2
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
         return Pose(self.centre[0], self.centre[1], self.yaw).to_world(corners)
@@ -34,14 +34,14 @@ class OrientedBox:
 
 @dataclass(frozen=True)
 class SceneObject:
-    """One thing in a scene.
+    """Object in a scene.
 
     Attributes:
-        instance: its id in rendered images; 0 is the building itself (walls, floor, ceiling, doors, windows).
-        label: what the scene source calls it, e.g. "armchair".
-        category: its row in the category table, None if it belongs to none.
-        box: where it is.
-        model: which model or style it is, for reports of what a split contains.
+        instance: id in rendered images; 0 is the building (walls, floor, ceiling, doors, windows).
+        label: label in the scene source, e.g. "armchair".
+        category: name of the category in the category table, or None.
+        box: bounding box.
+        model: model or style, for reports of the content of a split.
     """
 
     instance: int
@@ -53,12 +53,12 @@ class SceneObject:
 
 @dataclass(frozen=True)
 class Material:
-    """How faces look: a colour, multiplied by a texture if there is one.
+    """Material of faces: a colour that multiplies an optional texture.
 
     Attributes:
-        colour: RGB, 0 to 1.
-        texture: RGB image that repeats, or None. Texture coordinate (0, 0) is its lower-left corner, (1, 1) its
-            upper-right.
+        colour: RGB colour, 0 to 1.
+        texture: repeating RGB image, or None. Texture coordinate (0, 0) is its lower-left, (1, 1) its upper-right
+            corner.
     """
 
     colour: tuple[float, float, float]
@@ -67,7 +67,7 @@ class Material:
 
 @dataclass(frozen=True)
 class Mesh:
-    """All triangles of a scene, z up, metres."""
+    """Triangle mesh of a scene, z up, metres."""
 
     vertices: Float32[np.ndarray, "n 3"]
     faces: Int32[np.ndarray, "m 3"]
@@ -82,9 +82,9 @@ class Lighting:
     """Ambient light and directional lights without shadows; colours are RGB factors.
 
     Attributes:
-        ambient: colour of light from everywhere.
+        ambient: colour of the ambient light.
         directions: unit vectors that point from the scene towards each light.
-        colours: of each light.
+        colours: colour of each light.
     """
 
     ambient: tuple[float, float, float] = (0.45, 0.45, 0.45)
@@ -93,11 +93,11 @@ class Lighting:
 
 
 class FreeSpace(NamedTuple):
-    """Where the robot's centre may stand: one connected part of the floor.
+    """Free space of the robot centre: one connected part of the floor.
 
     Attributes:
-        grid: cells of `mask`.
-        mask: True where the robot stands clear of everything.
+        grid: grid of `mask`.
+        mask: True where the robot does not collide.
     """
 
     grid: Grid
@@ -106,16 +106,16 @@ class FreeSpace(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One floor of one home.
+    """One storey of a building with its objects.
 
     Attributes:
-        name: unique within its source.
-        mesh, lighting: what the renderer draws.
-        objects: everything with an instance id except the building itself.
-        free_space: where the robot may stand; never empty.
+        name: name, unique within its source.
+        mesh, lighting: input of the ray caster.
+        objects: objects with an instance id, without the building.
+        free_space: free space of the robot; never empty.
         floor_height: world z of the floor, metres.
         ceiling_height: world z of the ceiling, metres.
-        renderer: what draws the scene instead of the ray caster (`renderer.SceneRenderer`); the mesh may then be empty.
+        renderer: renderer used instead of the ray caster (a `renderer.SceneRenderer`); the mesh may then be empty.
     """
 
     name: str
@@ -128,13 +128,13 @@ class Scene:
     renderer: object = None
 
     def of_category(self, category: str) -> list[SceneObject]:
-        """The objects of one category."""
-        return [thing for thing in self.objects if thing.category == category]
+        """Return the objects of one category."""
+        return [obj for obj in self.objects if obj.category == category]
 
     def category_of_instance(self, names: Sequence[str]) -> UInt8[np.ndarray, " n"]:
-        """Lookup table from instance id to category index (position in `names` + 1; 0 for none)."""
-        table = np.zeros(1 + max((thing.instance for thing in self.objects), default=0), np.uint8)
-        for thing in self.objects:
-            if thing.category is not None and thing.category in names:
-                table[thing.instance] = names.index(thing.category) + 1
+        """Return the lookup table from instance id to category index (position in `names` + 1; 0 is background)."""
+        table = np.zeros(1 + max((obj.instance for obj in self.objects), default=0), np.uint8)
+        for obj in self.objects:
+            if obj.category is not None and obj.category in names:
+                table[obj.instance] = names.index(obj.category) + 1
         return table

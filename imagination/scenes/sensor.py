@@ -1,4 +1,4 @@
-"""Sensor models between the renderer and the user of the image."""
+"""Sensor models, which turn rendered images into sensor images."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,13 +8,13 @@ import numpy as np
 from imagination.scenes.renderer import Image
 
 Sensor = Callable[[Image, np.random.Generator], Image]
-"""Turns the renderer's image into the image of the robot's sensor."""
+"""Function from a rendered image to the image of the robot's sensor."""
 
 
 @dataclass(frozen=True)
 class IdealSensor:
-    """A sensor without noise."""
+    """Sensor without noise."""
 
     def __call__(self, image: Image, rng: np.random.Generator) -> Image:
-        """Return the image unchanged; `rng` is for sensors that add noise."""
+        """Return the image unchanged; `rng` is used by noisy sensors only."""
         return image

@@ -1,4 +1,4 @@
-"""The interface of scene sources: names, splits, loading and credits."""
+"""Interface of scene sources: names, splits, loading and credits."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple, Protocol, get_args, runtime_checkable
@@ -10,13 +10,13 @@ SPLITS: tuple[Split, ...] = get_args(Split)
 
 
 class Credit(NamedTuple):
-    """A model, or a data set, that somebody made.
+    """Attribution of a third-party model or data set.
 
     Attributes:
-        split: whose scenes it may stand in.
-        label: what it is.
-        model: as `SceneObject.model` names it.
-        author, licence, origin: who made it, under which terms it may be used, where it comes from.
+        split: split whose scenes may contain it.
+        label: label of the object.
+        model: name of the model, as in `SceneObject.model`.
+        author, licence, origin: author, licence and origin.
     """
 
     split: str
@@ -29,20 +29,20 @@ class Credit(NamedTuple):
 
 @runtime_checkable
 class Credited(Protocol):
-    """A scene source whose scenes hold what others made: results name them."""
+    """Scene source with third-party content, whose authors are named in the results."""
 
     def credits(self) -> Sequence[Credit]:
-        """Everything that scenes are made of; may be empty."""
+        """Return the attributions of all third-party content; may be empty."""
 
 
 @runtime_checkable
 class SceneSource(Protocol):
-    """Loads scenes by name. Plain values only inside, so that worker processes receive a copy of it."""
+    """Source that loads scenes by name; picklable, so that each worker process gets a copy."""
 
     name: str
 
     def scenes(self, split: Split) -> list[str]:
-        """Names of the scenes of a split, in a fixed order; splits share no name.
+        """Return the names of the scenes of a split in a fixed order; splits are disjoint.
 
         Raises:
             UserError: if the split has no scene.
@@ -52,20 +52,20 @@ class SceneSource(Protocol):
         """Load one scene; the same name always gives the same scene.
 
         Raises:
-            UserError: if there is no such scene, it has no free space, or it is broken.
+            UserError: if the scene does not exist, has no free space, or is damaged.
         """
 
     def fingerprint(self, scene: str) -> str:
-        """A string that changes whenever what `load` returns changes; part of the keys of caches."""
+        """Return a string that changes whenever the result of `load` changes; part of cache keys."""
 
 
 @runtime_checkable
 class SpareScenes(SceneSource, Protocol):
-    """A source with more homes like those of training, for learning how much unseen furniture costs."""
+    """Source with additional scenes of training furniture, to measure the effect of unseen furniture."""
 
     def spare(self, count: int) -> list[str]:
-        """Names of scenes that are furnished as training's and in no split.
+        """Return the names of scenes that are furnished as in training and are in no split.
 
         Raises:
-            UserError: if there are not so many.
+            UserError: if there are fewer than `count`.
         """

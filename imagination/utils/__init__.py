@@ -1,1 +1,1 @@
-"""Helpers that know nothing of the project: errors, files, cache, progress, precision."""
+"""Utilities independent of the rest of the project: errors, files, cache, progress, precision."""

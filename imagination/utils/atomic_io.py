@@ -1,44 +1,59 @@
-"""Files written completely or not at all."""
+"""Atomic writing of files: completely or not at all."""
 
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from errno import EACCES, EDQUOT, EFBIG, ENOSPC, EROFS
 from pathlib import Path
+from typing import Any
 
 from imagination.utils.errors import CannotWriteError
+from imagination.utils.file_lock import lock
 
 PART = ".part"
-"""Ending of temporary names."""
+"""Suffix of temporary folders."""
+
+
+STALE_SECONDS = 60.0
+"""Age above which a temporary folder that no process holds was left by a process that was killed."""
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path`; what is written there takes `path`'s place at the end, on an error nothing does.
+def replacing(path: Path, sync: bool = True) -> Iterator[Path]:
+    """Replace `path` atomically with a temporary file or folder, but only if the context ends without an error.
+
+    Args:
+        path: path to replace.
+        sync: wait until the content is on the disk; otherwise a crash of the machine may leave an empty file.
+
+    Yields:
+        temporary path in the same folder, to write to.
 
     Raises:
-        CannotWriteError: if the disk is full or may not be written.
+        CannotWriteError: if the disk is full or read-only.
     """
     with write_errors_reported(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PART, dir=path.parent))
         temporary = scratch / path.name
-        try:
-            yield temporary
-            if temporary.is_file() and not temporary.is_symlink():
-                with open(temporary, "rb") as file:
-                    os.fsync(file.fileno())  # else a crash of the machine may leave an empty file
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
-            scratch.rmdir()
+        with _held(scratch):
+            try:
+                yield temporary
+                if sync and temporary.is_file() and not temporary.is_symlink():
+                    with open(temporary, "rb") as file:
+                        os.fsync(file.fileno())
+                os.replace(temporary, path)
+            finally:
+                temporary.unlink(missing_ok=True)
+                scratch.rmdir()
 
 
 @contextmanager
 def write_errors_reported(path: Path) -> Iterator[None]:
-    """Turn a full disk or a folder that may not be written into an error that says where and what to do."""
+    """Raise CannotWriteError, with the path and the remedy, if the disk is full or read-only."""
     try:
         yield
     except OSError as error:
@@ -46,17 +61,58 @@ def write_errors_reported(path: Path) -> Iterator[None]:
             raise
         raise CannotWriteError(
             f"could not write {path}: {error.strerror}; free some space or set paths.outputs and paths.cache to "
-            "another place; a run that was under way goes on with resume=latest"
+            "another disk; continue an interrupted run with resume=latest"
         ) from error
 
 
+@contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Hold a shared lock on a folder, which marks it as being written to."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        lock(descriptor, shared=True)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def remove_stale_parts(parts: Iterable[Path]) -> None:
+    """Remove temporary folders that were left by killed processes; those of running processes are kept.
+
+    Args:
+        parts: temporary folders, whose names end with `PART`.
+    """
+    for scratch in parts:
+        with suppress(FileNotFoundError, BlockingIOError, PermissionError):
+            descriptor = os.open(scratch, os.O_RDONLY)
+            try:
+                lock(descriptor, wait=False)
+                # a new folder may not be locked yet
+                if time.time() - os.fstat(descriptor).st_mtime > STALE_SECONDS:
+                    shutil.rmtree(scratch)
+            finally:
+                os.close(descriptor)
+
+
 def remove_parts(folder: Path) -> None:
-    """Remove what a killed process left half-written in a run folder, which the caller holds."""
+    """Remove incomplete files of a killed process from a run folder, which the caller has locked."""
     for scratch in list(folder.rglob(f".*{PART}")):
         shutil.rmtree(scratch)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
+    """Write a text file atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text)
+
+
+def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write a compressed .npz file completely or not at all; equal arrays give equal bytes.
+
+    Raises:
+        CannotWriteError: if the disk is full or may not be written.
+    """
+    import numpy as np  # commands that only print their help do without
+
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, **arrays)

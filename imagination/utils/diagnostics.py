@@ -1,17 +1,17 @@
-"""Findings about the machine and the installation, as `imagination.doctor` prints them."""
+"""Results of the checks of machine and installation that `imagination.doctor` prints."""
 
 from typing import NamedTuple
 
 
 class Finding(NamedTuple):
-    """One thing looked at.
+    """Result of one check.
 
     Attributes:
-        name: what.
-        good: True, False, or None if it is only missing what not everybody needs.
-        told: what was found, and what to do about it.
+        name: name of the checked item.
+        good: True, False, or None if only an optional dependency is missing.
+        message: result, with the remedy if there is a problem.
     """
 
     name: str
     good: bool | None
-    told: str
+    message: str

@@ -1,35 +1,35 @@
-"""Errors that a user can act on: each names the value got, what is allowed and what to do."""
+"""Errors that the user can correct: each message gives the value, what is allowed and what to do."""
 
 from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 
 
 class UserError(ValueError):
-    """A mistake in what the user gave; the commands print its message without a traceback."""
+    """Invalid user input; the commands print the message without a traceback."""
 
 
 class CannotWriteError(UserError):
-    """A disk that is full, or a folder that may not be written: whatever else would be written fails as well."""
+    """Full disk or read-only folder, where further writes would fail as well."""
 
 
 class WorkerDiedError(UserError):
-    """A worker process that was killed, as for want of memory, or crashed."""
+    """Worker process that crashed or was killed, possibly out of memory."""
 
 
-def first_of(names: Sequence[str], most: int = 5) -> str:
-    """The first few names for a message, and how many more there are."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+def first_of(names: Sequence[str], limit: int = 5) -> str:
+    """Return the first names for a message, and the number of the others."""
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more
 
 
 def require_extra(package: str, extra: str) -> None:
     """Check that an optional package is installed.
 
     Raises:
-        UserError: with the command that installs it.
+        UserError: if it is missing, with the command that installs it.
     """
     if find_spec(package) is None:
-        raise UserError(f"{package}: is not installed, expected it here; pip install 'imagination[{extra}]'")
+        raise UserError(f"{package}: not installed; install it with pip install 'imagination[{extra}]'")
 
 
 def check_range(
@@ -38,13 +38,13 @@ def check_range(
     """Return `value` if it is finite and in [low, high] (in (low, high] with `open_low`).
 
     Raises:
-        UserError: with the name, the value got and the range allowed.
+        UserError: if it is not, with the name, the value and the allowed range.
     """
     try:
         inside = low < value <= high if open_low else low <= value <= high
-    except TypeError:  # a config or a file may hold text or nothing
+    except TypeError:  # text or None
         inside = False
-    if not inside:  # NaN compares false, so it is refused too
+    if not inside:  # also for NaN, which compares false
         bracket = "(" if open_low else "["
         suffix = f" {unit}" if unit else ""
         raise UserError(f"{name}: got {value}, expected a number in {bracket}{low}, {high}]{suffix}")
@@ -55,7 +55,7 @@ def check_choice(name: str, value: str, allowed: Iterable[str]) -> str:
     """Return `value` if it is among `allowed`.
 
     Raises:
-        UserError: with the name, the value got and the choices that exist.
+        UserError: if it is not, with the name, the value and the choices.
     """
     choices = sorted(allowed)
     if value not in choices:

@@ -1,4 +1,4 @@
-"""Description of this machine and of the command that runs, for tables and reports."""
+"""Description of the hardware and of the current command, for tables and reports."""
 
 import os
 import platform
@@ -13,7 +13,7 @@ def command_line() -> str:
 
 
 def hardware() -> str:
-    """Return processor, cores in use and GPU."""
+    """Return a description of the processor, the available cores and the GPU."""
     import torch
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

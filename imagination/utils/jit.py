@@ -1,4 +1,4 @@
-"""How kernels are compiled: by numba, on one thread, cached on disk beside their module."""
+"""Just-in-time compilation of kernels with Numba: single-threaded, cached on disk."""
 
 import inspect
 from collections.abc import Callable
@@ -10,5 +10,5 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def compiled(function: F) -> F:
-    """Compile a kernel. Shape checkers that wrap functions at import, as in the tests, are looked through."""
+    """Compile a kernel, without the shape checkers that the tests wrap around functions at import."""
     return cast(F, njit(cache=True)(inspect.unwrap(function)))

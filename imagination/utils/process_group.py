@@ -1,4 +1,4 @@
-"""Processes that train together: rank, world size and sums over them."""
+"""Distributed training: rank, world size and reduction over processes."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ T = TypeVar("T")
 
 
 def global_rank() -> int:
-    """Number of this process among those that train together."""
+    """Return the rank of this process among all training processes."""
     return int(os.environ.get("RANK", os.environ.get("LOCAL_RANK", 0)))
 
 
 def started_by_torchrun() -> bool:
-    """Whether torchrun started this process; else it is the only one, or Lightning starts the others."""
+    """Return whether torchrun started this process; otherwise it is the only one, or Lightning starts the others."""
     return "TORCHELASTIC_RUN_ID" in os.environ
 
 
 def world_size() -> int:
-    """How many processes train together; 1 before they have met."""
+    """Return the number of training processes; 1 before the process group is initialised."""
     from torch import distributed
 
     return distributed.get_world_size() if distributed.is_available() and distributed.is_initialized() else 1
 
 
 def sum_over_ranks(counts: Tensor) -> Tensor:
-    """The sum of a tensor without gradients over all processes that train together."""
+    """Sum a tensor without gradients over all training processes, in place."""
     from torch import distributed
 
     if world_size() > 1:
@@ -38,6 +38,6 @@ def sum_over_ranks(counts: Tensor) -> Tensor:
 
 
 def rotated_by_rank(items: list[T]) -> list[T]:
-    """The items from a start of this process's own: processes that share a cache then do not make the same at once."""
+    """Rotate items by rank, so that processes with a common cache do not build the same entry at once."""
     start = global_rank() * len(items) // int(os.environ.get("WORLD_SIZE", 1))
     return items[start:] + items[:start]

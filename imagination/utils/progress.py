@@ -1,4 +1,4 @@
-"""Progress bars of long stages, on a terminal or as lines in a log."""
+"""Progress of long stages, as bars on a terminal or as lines in a log."""
 
 import logging
 import time
@@ -14,19 +14,19 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 console = Console(stderr=True)
-"""Where bars are drawn; messages written through it appear above them."""
+"""Console of the progress bars; messages written to it appear above them."""
 
 QUIET_SECONDS = 10.0
-"""Without a terminal, a line is written this often."""
+"""Interval between lines without a terminal, seconds."""
 
 
 def progress(items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
-    """Iterate over `items` and show how far it is.
+    """Iterate over `items` and show the progress.
 
     Args:
-        items: what to iterate over.
-        description: of the stage, e.g. "rendering views".
-        total: number of items, where `items` has no length.
+        items: items of the stage.
+        description: name of the stage, e.g. "rendering views".
+        total: number of items, if `items` has no length.
     """
     if total is None and isinstance(items, Sized):
         total = len(items)
@@ -38,9 +38,10 @@ def progress(items: Iterable[T], description: str, total: int | None = None) -> 
 
 @contextmanager
 def bar(description: str, total: int | None) -> Iterator[Callable[[], None]]:
-    """Show a stage of `total` parts: a bar on a terminal, else a line every ten seconds and one at the end.
+    """Show the progress of a stage of `total` steps: as a bar on a terminal, otherwise as lines in the log.
 
-    The function it gives is called after each part.
+    Yields:
+        function to call after each step.
     """
     if not console.is_terminal:
         with _lines(description, total) as advance:
@@ -54,15 +55,15 @@ def bar(description: str, total: int | None) -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def _lines(description: str, total: int | None) -> Iterator[Callable[[], None]]:
-    start = told = time.monotonic()
+    start = logged = time.monotonic()
     done = 0
 
     def advance() -> None:
-        nonlocal done, told
+        nonlocal done, logged
         done += 1
         now = time.monotonic()
-        if now - told >= QUIET_SECONDS:
-            told = now
+        if now - logged >= QUIET_SECONDS:
+            logged = now
             log.info("%s: %d of %s, %.0f s", description, done, total or "?", now - start)
 
     yield advance

@@ -1,8 +1,8 @@
-"""YAML and CSV files that may have been edited, damaged, or come from a stranger."""
+"""Reading of untrusted YAML and CSV files, and tables as CSV and Markdown."""
 
 import csv
 import io
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,35 +12,35 @@ from imagination.utils.errors import UserError
 
 
 class PlainLoader(yaml.SafeLoader):
-    """Reads YAML without references, a few lines of which could stand for any amount of data."""
+    """YAML loader that refuses references, since a few lines of them can expand to any amount of data."""
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("it holds references (*), which are not read")
+            raise yaml.YAMLError("got a reference (*), expected plain values")
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        found = super().construct_mapping(node, deep)
-        if other := [key for key in found if not isinstance(key, str)]:
-            raise yaml.YAMLError(f"got the key {other[0]!r}, expected text")
-        return found
+        mapping = super().construct_mapping(node, deep)
+        if invalid := [key for key in mapping if not isinstance(key, str)]:
+            raise yaml.YAMLError(f"got the key {invalid[0]!r}, expected text")
+        return mapping
 
 
 def read_yaml(path: Path, expected: str = "keys and values") -> dict[str, Any]:
-    """Keys and values in a YAML file.
+    """Read keys and values from a YAML file.
 
     Args:
-        path: of the file.
-        expected: what the keys are, for the message.
+        path: path of the file.
+        expected: description of the keys for the error message.
 
     Raises:
-        UserError: if it is missing, damaged or holds something else.
+        UserError: if the file is missing, damaged or holds no mapping.
     """
     try:
         values = yaml.load(path.read_text(), PlainLoader)  # noqa: S506  (a safe loader)
     except FileNotFoundError as error:
         raise UserError(f"{path}: there is no such file") from error
-    except Exception as error:  # yaml raises anything on what looks like a date or a number
+    except Exception as error:  # yaml raises any type of exception on malformed dates and numbers
         raise UserError(f"{path}: cannot be read ({' '.join(str(error).split())})") from error
     if not isinstance(values, dict):
         raise UserError(f"{path}: got {type(values).__name__}, expected {expected}")
@@ -48,10 +48,10 @@ def read_yaml(path: Path, expected: str = "keys and values") -> dict[str, Any]:
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
-    """Rows of a table.
+    """Read the rows of a table.
 
     Raises:
-        ValueError: if rows are shorter or longer than the header.
+        ValueError: if a row is shorter or longer than the header.
     """
     with open(path, newline="") as file:
         rows = list(csv.DictReader(file, strict=True))
@@ -62,21 +62,30 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 Row = dict[str, str]
-"""Cells of a table's row by column, formatted, so that the same numbers give the same bytes."""
+"""Formatted cells of one row by column; equal numbers give equal text."""
 
 
-def to_csv(rows: Sequence[Row]) -> str:
-    """Rows as comma-separated text with a header; empty without rows."""
-    if not rows:
-        return ""
+def csv_text(rows: Iterable[Sequence[object]]) -> str:
+    """Return rows, the header first, as comma-separated text."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
 
 
+def to_csv(rows: Sequence[Row]) -> str:
+    """Return rows as comma-separated text with a header, or an empty string without rows."""
+    if not rows:
+        return ""
+    columns = list(rows[0])
+    return csv_text([columns, *([row[column] for column in columns] for row in rows)])
+
+
 def to_markdown(rows: Sequence[Row], columns: Sequence[str]) -> str:
-    """Some columns of a table as Markdown."""
+    """Return some columns of a table as Markdown."""
     lines = [columns, ["---"] * len(columns), *([row[column] for column in columns] for row in rows)]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+    return "\n".join(map(markdown_row, lines))
+
+
+def markdown_row(cells: Sequence[str]) -> str:
+    """Return cells as one line of a Markdown table."""
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

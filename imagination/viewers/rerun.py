@@ -1,4 +1,4 @@
-"""The Rerun viewer: images, egocentric maps, the global map and the robot's path over time."""
+"""Rerun viewer: images, egocentric maps, the global map and the robot's path over time."""
 
 from pathlib import Path
 from typing import Any
@@ -11,15 +11,15 @@ from imagination.mapping.visualization import FREE_COLOUR, OCCUPIED_COLOUR, UNKN
 from imagination.utils.errors import check_range, require_extra
 
 MAX_PLACES = 1000
-"""Of the robot's path; of more, every second is dropped, since the whole path is sent again and again."""
+"""Largest number of path points, which are all sent with every map; a longer path is thinned by half."""
 
 
 class Rerun:
-    """Logs to a viewer that is started, or to an .rrd file.
+    """Viewer that logs to a new Rerun window or to an .rrd file.
 
     Args:
-        file: name of the file in the folder of the results; a live viewer if None.
-        every: frames between two of the whole map, which is large.
+        file: name of the file in the results folder; None opens a live viewer.
+        every: interval between two logs of the whole map, frames.
 
     Raises:
         UserError: if rerun-sdk is not installed, or a value is out of range.
@@ -66,7 +66,7 @@ class Rerun:
         self._stream.disconnect()
 
     def _show_map(self) -> None:
-        """The map as a picture, the path over it in its pixels."""
+        """Log the picture of the map and the path in its pixel coordinates."""
         maps = self._mapper.maps
         self._stream.log("map", self._rerun.Image(draw_map(maps, self._mapper.spec.colours)))
         places = np.array([[pose.x, pose.y] for pose in self._path])

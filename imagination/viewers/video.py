@@ -1,4 +1,4 @@
-"""A short film of the mapping: colour, depth, projection, imagination and the growing map side by side."""
+"""Preview video of the mapping: colour, depth, projection and prediction next to the map."""
 
 from collections.abc import Iterable, Sequence
 from io import BytesIO
@@ -21,21 +21,22 @@ from imagination.utils.errors import UserError, check_choice, check_range
 Picture = UInt8[np.ndarray, "h w 3"]
 
 PANEL = 240
-"""Pixels a side of the four small panels; the map is twice as large."""
+"""Side of the four small panels, pixels; the map is twice as large."""
 
 FARTHEST = 6.0
-"""Metres of depth that the colours span."""
+"""Depth range of the colour map, metres."""
 
 PATH_COLOUR, ROBOT_COLOUR, TEXT_COLOUR = (40, 90, 220), (220, 30, 30), (20, 20, 20)
 
 
 class Preview:
-    """Writes preview.mp4 or preview.gif.
+    """Viewer that writes preview.mp4 or preview.gif.
 
     Args:
         format: mp4 or gif.
-        rate: frames a second.
-        most: frames of the film; of more, every second is dropped and from then on every other shown, and so on.
+        rate: frames per second.
+        most: largest number of video frames; when it is exceeded, every second frame is dropped and the interval
+            between frames doubles.
 
     Raises:
         UserError: if a value is out of range.
@@ -43,9 +44,9 @@ class Preview:
 
     def __init__(self, format: str = "mp4", rate: float = 10.0, most: int = 300) -> None:
         self.format = check_choice("viewer.format", format, ("gif", "mp4"))
-        self.rate = check_range("viewer.rate", rate, 0.1, 60.0, "frames a second")
+        self.rate = check_range("viewer.rate", rate, 0.1, 60.0, "frames per second")
         self.most = int(check_range("viewer.most", most, 2, 10_000, "frames"))
-        self._pictures: list[bytes] = []  # compressed, since memory must not grow with the recording
+        self._pictures: list[bytes] = []  # compressed, to bound the memory of long recordings
         self._seen, self._every = 0, 1
         self._path: list[Pose] = []
 
@@ -67,14 +68,16 @@ class Preview:
         self._seen += 1
 
     def close(self) -> None:
-        """Write the film.
+        """Write the video.
 
         Raises:
-            UserError: if it cannot be written.
+            UserError: if the video cannot be written.
         """
         if not self._pictures:
             return
-        pictures = (Image.open(BytesIO(data)) for data in self._pictures)  # one at a time: a film may be long
+        pictures = (
+            Image.open(BytesIO(data)) for data in self._pictures
+        )  # decoded one at a time, to bound memory
         with replacing(self._file) as temporary:
             if self.format == "gif":
                 write_gif(temporary, pictures, self.rate)
@@ -82,13 +85,13 @@ class Preview:
             written = write_mp4(temporary, pictures, self.rate)
             if written < len(self._pictures):
                 raise UserError(
-                    f"{self._file}: got {written} of {len(self._pictures)} frames, expected all; free some space or "
-                    "use viewer.format=gif, if this OpenCV writes no MP4"
+                    f"{self._file}: got {written} of {len(self._pictures)} frames, expected all; free some space, or "
+                    "use viewer.format=gif if this OpenCV cannot write MP4"
                 )
 
 
 def write_gif(path: Path, pictures: Iterable[Image.Image], rate: float) -> None:
-    """Write a film frame by frame; Pillow's own save keeps all of them until the end."""
+    """Write a GIF frame by frame; Pillow's save would keep all frames in memory."""
     with open(path, "wb") as file:
         for number, picture in enumerate(pictures):
             indexed = picture.convert("P", palette=Image.Palette.ADAPTIVE)
@@ -99,30 +102,30 @@ def write_gif(path: Path, pictures: Iterable[Image.Image], rate: float) -> None:
 
 
 def write_mp4(path: Path, pictures: Iterable[Image.Image], rate: float) -> int:
-    """Write a film; how many frames can be read from it then, since OpenCV tells no failure."""
+    """Write an MP4 and return the number of frames that can be read back, since OpenCV reports no write errors."""
     writer = cv2.VideoWriter()
     for number, picture in enumerate(pictures):
         if number == 0:
             writer.open(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, picture.size)
         writer.write(np.asarray(picture)[..., ::-1])
     writer.release()
-    film, count = cv2.VideoCapture(str(path)), 0
-    while film.grab():
+    video, count = cv2.VideoCapture(str(path)), 0
+    while video.grab():
         count += 1
-    film.release()
+    video.release()
     return count
 
 
 def draw_update(
     update: Update, maps: Maps, colours: Sequence[tuple[int, int, int]], path: Sequence[Pose]
 ) -> Picture:
-    """What became of a frame: four small panels, and the map with the robot's path.
+    """Draw an update: four small panels and the map with the robot's path.
 
     Args:
-        update: the frame.
-        maps: after it.
-        colours: of the categories.
-        path: the robot's poses so far.
+        update: update of the frame.
+        maps: map after the update.
+        colours: RGB colours of the categories.
+        path: poses of the robot so far.
     """
     depth = np.clip(update.depth / FARTHEST, 0, 1)
     shaded = cv2.applyColorMap((255 * (1 - depth)).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1]
@@ -130,8 +133,8 @@ def draw_update(
     projection = np.full((*update.seen.shape, 3), UNKNOWN_COLOUR, np.float32)
     projection[update.seen] = FREE_COLOUR
     projection[update.occupied] = OCCUPIED_COLOUR
-    said = np.where(update.mask, update.probabilities, np.float32(0))
-    imagined = paint(projection, said, colours, maps.thresholds)
+    evidence = np.where(update.mask, update.probabilities, np.float32(0))
+    imagined = paint(projection, evidence, colours, maps.thresholds)
     panels = [
         _panel(update.rgb, "colour"),
         _panel(shaded, "depth"),
@@ -150,10 +153,10 @@ def _panel(image: Picture, title: str) -> UInt8[np.ndarray, "p q 3"]:
 
 
 def _with_path(picture: Picture, maps: Maps, path: Sequence[Pose]) -> UInt8[np.ndarray, "p q 3"]:
-    """The known part of the map, as large as it fits, with the robot and its path."""
+    """Draw the known part of the map, scaled to the panel, with the robot and its path."""
     side = 2 * PANEL
     known = np.argwhere(maps.known)
-    if not len(known):  # depth was all holes so far
+    if not len(known):  # no depth so far
         return np.full((side, side, 3), UNKNOWN_COLOUR, np.uint8)
     top, left = known.min(axis=0)
     bottom, right = known.max(axis=0) + 1

@@ -1,4 +1,4 @@
-"""What a viewer is: shown every frame, closed at the end."""
+"""Interface of viewers, which show every registered frame."""
 
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -8,20 +8,20 @@ from imagination.mapping.semantic_mapper import SemanticMapper, Update
 
 @runtime_checkable
 class Viewer(Protocol):
-    """Shows how a map is made."""
+    """Visualization of the mapping process."""
 
     def open(self, folder: Path, mapper: SemanticMapper) -> None:
-        """Begin; files go into `folder`."""
+        """Start; `folder` receives the output files."""
 
     def show(self, stamp: int, update: Update) -> None:
-        """Show a frame that was registered at `stamp`, nanoseconds."""
+        """Show the update of a registered frame; `stamp` is its time in nanoseconds."""
 
     def close(self) -> None:
-        """End, also after an error."""
+        """Finish; also called after an error."""
 
 
 class NoViewer:
-    """Shows nothing."""
+    """Viewer without output."""
 
     def open(self, folder: Path, mapper: SemanticMapper) -> None:
         pass

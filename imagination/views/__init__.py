@@ -1,1 +1,1 @@
-"""Looking around: poses, sparse viewpoints, single views and their collection by worker processes."""
+"""Views of scenes: pose samplers, rendering of single views, and collection by worker processes."""

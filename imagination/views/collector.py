@@ -1,8 +1,8 @@
-"""Collecting views for training: every view is a pure function of the seed and its place in the collection.
+"""Collection of training views: every view is a pure function of the seed and its index in the collection.
 
-A collection is `steps` looks in each of `parallel_scenes` scenes at once (the paper's "observations are randomly
-selected in 16 different scenes at the same time"). Nothing is carried from one collection to the next, so any of them
-can be made again, by any number of workers, in any order; those once made are kept in the cache.
+A collection consists of `steps` views in each of `parallel_scenes` scenes (the paper's "observations are randomly
+selected in 16 different scenes at the same time"). Collections are independent of each other, so each can be reproduced
+by any number of workers in any order; finished collections are cached.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -27,7 +27,7 @@ PoseSampler = Callable[[Scene, int, np.random.Generator], list[Pose]]
 
 
 def stack(views: Sequence[View]) -> Views:
-    """Views as arrays with a leading axis, depth as float16 (4 mm at 8 m)."""
+    """Stack views into arrays with a leading axis; depth becomes float16 (4 mm at 8 m)."""
     return {
         "rgb": np.stack([view.rgb for view in views]),
         "depth": np.stack([view.depth for view in views]).astype(np.float16),
@@ -40,13 +40,15 @@ def stack(views: Sequence[View]) -> Views:
 
 
 def concatenate(parts: Iterable[Views]) -> Views:
-    """Several stacks of views as one."""
+    """Concatenate several stacks of views."""
     stacks = list(parts)
     return {name: np.concatenate([part[name] for part in stacks]) for name in stacks[0]}
 
 
-def look(observer: Observer, scene: str, sampler: PoseSampler, seed: Sequence[int], count: int) -> Views:
-    """`count` views of a scene from poses that `sampler` draws; the same seed gives the same views."""
+def render_views(
+    observer: Observer, scene: str, sampler: PoseSampler, seed: Sequence[int], count: int
+) -> Views:
+    """Render `count` views of a scene from poses that `sampler` draws; the same seed gives the same views."""
     rng = np.random.default_rng(list(seed))
     poses = sampler(observer.scene(scene), count, rng)
     return stack([observer.observe(scene, pose, rng) for pose in poses])
@@ -54,16 +56,16 @@ def look(observer: Observer, scene: str, sampler: PoseSampler, seed: Sequence[in
 
 @dataclass(frozen=True)
 class Collector:
-    """Makes collections of training views.
+    """Collector of training views.
 
     Attributes:
-        pool: workers that render.
+        pool: worker processes that render the views.
         scenes: names of the training scenes.
-        sampler: draws poses in a scene.
-        seed: of the run.
-        parallel_scenes: scenes looked at in one collection.
-        steps: looks in each of them.
-        first_slot: number of the first of these scenes among those of all processes that collect together.
+        sampler: sampler of poses in a scene.
+        seed: random seed of the run.
+        parallel_scenes: number of scenes in one collection.
+        steps: number of views in each scene.
+        first_slot: index of the first scene slot of this process among the slots of all processes.
     """
 
     pool: ScenePool
@@ -78,18 +80,16 @@ class Collector:
         check_range("parallel_scenes", self.parallel_scenes, 1, 4096)
         check_range("update_interval", self.steps, 1, 10_000, "collection steps")
         if not self.scenes:
-            raise UserError(
-                "collector: got no training scenes, expected at least one; raise scale.scenes.train"
-            )
+            raise UserError("collector: got 0 training scenes, expected at least 1; raise scale.scenes.train")
 
     @property
     def views_per_collection(self) -> int:
         return self.parallel_scenes * self.steps
 
     def start(self, index: int) -> Callable[[], Views]:
-        """Begin to make collection `index`; the function returned waits for it.
+        """Start collection `index` and return a function that waits for its views.
 
-        The scenes follow each other in random order, each once before any comes again.
+        Scenes are visited in random order without replacement; after the last one a new order is drawn.
         """
         slots = [self._scene_of(index * self.parallel_scenes + slot) for slot in range(self.parallel_scenes)]
         observer = self.pool.observer
@@ -100,13 +100,11 @@ class Collector:
             "seed": [self.seed, index, self.first_slot],
             "steps": self.steps,
         }
-        if (kept := observer.cache.load("views", key)) is not None:
-            return lambda: (
-                kept
-            )  # a collection made before, by this run or another that asks for the same views
+        if (cached := observer.cache.load("views", key)) is not None:
+            return lambda: cached
         parts = [
             self.pool.submit(
-                look, scene, self.sampler, (self.seed, Stream.TRAINING_VIEWS, index, slot), self.steps
+                render_views, scene, self.sampler, (self.seed, Stream.TRAINING_VIEWS, index, slot), self.steps
             )
             for slot, scene in enumerate(slots, start=self.first_slot)
         ]
@@ -119,8 +117,10 @@ class Collector:
         return wait
 
     def _scene_of(self, position: int) -> str:
-        lap, place = divmod(position, len(self.scenes))
+        cycle, index = divmod(position, len(self.scenes))
         order: list[int] = (
-            np.random.default_rng([self.seed, Stream.SCENE_ORDER, lap]).permutation(len(self.scenes)).tolist()
+            np.random.default_rng([self.seed, Stream.SCENE_ORDER, cycle])
+            .permutation(len(self.scenes))
+            .tolist()
         )
-        return self.scenes[order[place]]
+        return self.scenes[order[index]]

@@ -1,4 +1,4 @@
-"""The observer: renders views of scenes and builds their ground truth, cached."""
+"""Observer that renders views of scenes and builds their ground truth, with a cache."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,16 +22,16 @@ from imagination.views.view import View
 
 @dataclass(frozen=True)
 class Observer:
-    """Everything that decides what a view looks like. Picklable: worker processes get a copy.
+    """Renderer of views and builder of ground truth; picklable, so that each worker process gets a copy.
 
     Attributes:
-        source: where scenes come from.
-        camera, sensor: what the robot looks through.
+        source: source of the scenes.
+        camera, sensor: camera of the robot and its sensor model.
         ego: grid of egocentric maps.
-        obstacles: heights above the floor that count as occupied.
-        ground_truth_spec: how ground-truth maps are made.
-        categories: the category table.
-        cache: where ground truth and views are kept.
+        obstacles: heights above the floor of obstacles (occupied cells).
+        ground_truth_spec: specification of the ground-truth maps.
+        categories: category table.
+        cache: cache of ground truth and views.
     """
 
     source: SceneSource
@@ -45,50 +45,52 @@ class Observer:
     _loaded: dict[str, tuple[Scene, SceneRenderer]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    _truths: dict[str, GroundTruth] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _ground_truths: dict[str, GroundTruth] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __getstate__(self) -> dict[str, Any]:
         return {
             **self.__dict__,
             "_loaded": {},
-            "_truths": {},
-        }  # renderers stay in the process that built them
+            "_ground_truths": {},
+        }  # renderers cannot be pickled
 
     def scene(self, name: str) -> Scene:
-        """The scene, loaded once in each process."""
+        """Return a scene; each process loads it once."""
         return self._load(name)[0]
 
-    def truth(self, name: str) -> GroundTruth:
-        """Ground-truth maps of the scene, from the cache where they are kept."""
-        if name not in self._truths:
+    def ground_truth(self, name: str) -> GroundTruth:
+        """Return the ground-truth maps of a scene, from the cache if they are there."""
+        if name not in self._ground_truths:
             arrays = self.cache.get_or_build(
-                "ground_truth", self.ground_truth_key(name), lambda: self._build_truth(name)
+                "ground_truth", self.ground_truth_key(name), lambda: self._build_ground_truth(name)
             )
-            self._truths[name] = GroundTruth.from_arrays(arrays)
-        return self._truths[name]
+            self._ground_truths[name] = GroundTruth.from_arrays(arrays)
+        return self._ground_truths[name]
 
     def observe(self, name: str, pose: Pose, rng: np.random.Generator) -> View:
-        """Look around from `pose` in the scene; `rng` drives the sensor's noise alone.
+        """Render the view from `pose` in a scene; `rng` is used for sensor noise only.
 
         Raises:
             UserError: if the scene does not exist or the pose is not finite.
         """
         scene, renderer = self._load(name)
         image = self.sensor(renderer.render(self.camera, self.camera.to_world(pose, scene.floor_height)), rng)
-        truth = self.truth(name)
+        ground_truth = self.ground_truth(name)
         ego = project_depth(image.depth, self.camera, self.ego, self.obstacles)
         lookup = scene.category_of_instance(self.categories.names)
         categories = np.where(image.instance < 0, np.uint8(0), lookup[np.maximum(image.instance, 0)])
-        target = crop(truth.truth, truth.grid, pose, self.ego)
+        target = crop(ground_truth.truth, ground_truth.grid, pose, self.ego)
         return View(pose, image.rgb, image.depth, categories, ego.occupied, ego.seen, target)
 
     def forget(self, name: str) -> None:
-        """Drop what is held of a scene that will not be looked at again."""
+        """Release a scene that is not rendered again, with its ground truth."""
         self._loaded.pop(name, None)
-        self._truths.pop(name, None)
+        self._ground_truths.pop(name, None)
 
     def ground_truth_key(self, name: str) -> dict[str, Any]:
-        """What the scene's ground truth depends on."""
+        """Return everything that the ground truth of a scene depends on."""
         aliases = {row.name: as_plain(row.aliases) for row in self.categories}
         return {
             "scene": self.source.fingerprint(name),
@@ -97,7 +99,7 @@ class Observer:
         }
 
     def view_key(self, name: str) -> dict[str, Any]:
-        """What views of the scene depend on, apart from pose and random numbers."""
+        """Return everything that views of a scene depend on except poses and random numbers."""
         parts = {"camera": self.camera, "sensor": self.sensor, "ego": self.ego, "obstacles": self.obstacles}
         return {**self.ground_truth_key(name), **{part: as_plain(value) for part, value in parts.items()}}
 
@@ -107,6 +109,6 @@ class Observer:
             self._loaded[name] = scene, renderer_of(scene)
         return self._loaded[name]
 
-    def _build_truth(self, name: str) -> dict[str, np.ndarray]:
+    def _build_ground_truth(self, name: str) -> dict[str, np.ndarray]:
         scene, renderer = self._load(name)
         return build(scene, renderer, self.ground_truth_spec, self.categories).to_arrays()

@@ -11,31 +11,31 @@ from imagination.utils.errors import UserError, check_range
 
 
 def sample_poses(free: FreeSpace, count: int, rng: np.random.Generator) -> list[Pose]:
-    """Poses drawn uniformly over free space, anywhere within its cells, and over all headings.
+    """Sample poses uniformly over free space (continuous within its cells) and heading.
 
     Args:
-        free: where the robot may stand.
-        count: poses wanted.
-        rng: drives places and headings.
+        free: free space of the robot.
+        count: number of poses.
+        rng: random generator of positions and headings.
 
     Raises:
-        UserError: if the count is negative or nothing is free.
+        UserError: if the count is negative or there is no free cell.
     """
     cells = np.argwhere(free.mask)
     if count < 0 or len(cells) == 0:
         raise UserError(
-            f"poses: got {count} to draw on {len(cells)} free cells, expected at least 0 on at least 1"
+            f"poses: got {count} poses on {len(cells)} free cells, expected at least 0 poses on at least 1 cell"
         )
-    chosen = cells[rng.integers(len(cells), size=count)]
+    sampled = cells[rng.integers(len(cells), size=count)]
     jitter = rng.uniform(-0.5, 0.5, (count, 2)) * free.grid.resolution
-    places = free.grid.to_points(chosen) + jitter
+    positions = free.grid.to_points(sampled) + jitter
     headings = rng.uniform(-np.pi, np.pi, count)
-    return [Pose(float(x), float(y), float(theta)) for (x, y), theta in zip(places, headings, strict=True)]
+    return [Pose(float(x), float(y), float(theta)) for (x, y), theta in zip(positions, headings, strict=True)]
 
 
 @dataclass(frozen=True)
 class UniformPoses:
-    """Uniform over free space and heading (settled: the paper's units reject nothing)."""
+    """Uniform sampler over free space and heading (settled reading: no pose is rejected, as in the paper)."""
 
     def __call__(self, scene: Scene, count: int, rng: np.random.Generator) -> list[Pose]:
         return sample_poses(scene.free_space, count, rng)
@@ -43,13 +43,13 @@ class UniformPoses:
 
 @dataclass(frozen=True)
 class BalancedPoses:
-    """A share of the poses turned towards an object nearby, the others uniform.
+    """Sampler that turns a fraction of uniform poses towards a nearby object.
 
     Attributes:
-        categories: what to look at: objects of any of these.
-        share: of the poses, 0 to 1.
-        distance: farthest object looked at, metres.
-        spread: half-width of the uniform error of the heading, radians.
+        categories: categories of the objects.
+        fraction: probability that a pose is turned, 0 to 1.
+        distance: maximum distance of the object, metres.
+        spread: half-width of the uniform noise of the heading, radians.
     """
 
     categories: Sequence[str]
@@ -67,14 +67,13 @@ class BalancedPoses:
         centres = np.array([obj.box.centre[:2] for obj in objects])
         poses = []
         for pose in sample_poses(scene.free_space, count, rng):
-            turned = (
-                rng.random() < self.fraction
-            )  # drawn for every pose, so that the stream does not depend on the scene
-            error, choice = rng.uniform(-self.spread, self.spread), rng.random()
+            # drawn for every pose, so that the random stream does not depend on the scene
+            turned = rng.random() < self.fraction
+            noise, choice = rng.uniform(-self.spread, self.spread), rng.random()
             offsets = centres - np.array(pose[:2]) if len(centres) else np.empty((0, 2))
             near = offsets[np.hypot(*offsets.T) < self.distance]
             if turned and len(near):
                 dx, dy = near[int(choice * len(near))]
-                pose = Pose(pose.x, pose.y, float(np.arctan2(dy, dx)) + error)
+                pose = Pose(pose.x, pose.y, float(np.arctan2(dy, dx)) + noise)
             poses.append(pose)
         return poses

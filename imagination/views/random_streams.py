@@ -1,10 +1,10 @@
-"""Streams of random numbers that never share a seed."""
+"""Independent streams of random numbers."""
 
 from enum import IntEnum
 
 
 class Stream(IntEnum):
-    """Streams of random numbers that must not meet: the second number of every seed."""
+    """Identifier of a random stream, the second number of every seed, so that streams are independent."""
 
     SCENE_ORDER = 0
     TRAINING_VIEWS = 1

@@ -1,4 +1,4 @@
-"""Worker processes for work on scenes: each scene has its own worker, which loads it once."""
+"""Worker processes for tasks on scenes: all tasks of a scene run in one worker, which loads the scene once."""
 
 import logging
 import os
@@ -16,28 +16,28 @@ import cv2
 from imagination.utils.errors import WorkerDiedError, check_range
 from imagination.views.observer import Observer
 
-DIED = "workers: a process was killed, as for want of memory, or crashed; take fewer with scale.workers"
+WORKER_DIED = "workers: a worker process died, possibly out of memory; reduce scale.workers"
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_observer: Observer | None = None  # the worker process's copy
+_observer: Observer | None = None  # copy of the worker process
 
 
 class ScenePool:
-    """Calls `function(observer, scene, ...)` in the worker that holds the scene.
+    """Pool of workers that calls `function(observer, scene, ...)` in the process of the scene.
 
-    What a function returns may depend on its arguments only, so that the number of workers changes nothing.
+    The result of a function must depend on its arguments only, so that it does not depend on the number of workers.
 
     Args:
-        observer: copied into each worker.
-        workers: processes; 0 runs everything in this one, at the call.
+        observer: observer that is copied to each worker.
+        workers: number of worker processes; 0 runs each task in the calling process when it is submitted.
     """
 
     def __init__(self, observer: Observer, workers: int) -> None:
         check_range("workers", workers, 0, 1024)
         self.observer = observer
-        context = get_context("spawn")  # a fork would copy torch's threads in a broken state
+        context = get_context("spawn")  # forking breaks the threads of PyTorch
         self._workers = [
             ProcessPoolExecutor(1, mp_context=context, initializer=_start, initargs=(observer,))
             for _ in range(workers)
@@ -46,7 +46,7 @@ class ScenePool:
 
     @property
     def ahead(self) -> int:
-        """How many more tasks to submit than are waited for, so that no worker is idle."""
+        """Number of tasks to submit ahead of the results, so that no worker is idle."""
         return 2 * len(self._workers)
 
     def submit(
@@ -56,110 +56,112 @@ class ScenePool:
         *args: P.args,
         **kwargs: P.kwargs,
     ) -> "Future[T]":
-        """Start `function(observer, scene, *args, **kwargs)`; it must be importable from a module."""
+        """Submit `function(observer, scene, *args, **kwargs)`; the function must be importable."""
         future: Future[T] = Future()
         if self._workers:
             owner = self._worker_of.setdefault(scene, len(self._worker_of) % len(self._workers))
-            with _no_interrupt():  # the first call starts the process
+            with _no_interrupt():  # the first task starts the process
                 try:
-                    answer = self._workers[owner].submit(_call, function, scene, args, kwargs)
+                    result = self._workers[owner].submit(_call, function, scene, args, kwargs)
                 except BrokenProcessPool as error:
-                    raise WorkerDiedError(DIED) from error
-            _leave_answers_to_the_worker(self._workers[owner])
-            answer.add_done_callback(lambda done: _deliver(done, future))
+                    raise WorkerDiedError(WORKER_DIED) from error
+            _close_result_writer(self._workers[owner])
+            result.add_done_callback(lambda done: _forward(done, future))
         else:
             future.set_result(function(self.observer, scene, *args, **kwargs))
         return future
 
     def close(self) -> None:
-        """Stop the workers at once; work that has not ended is dropped."""
+        """Stop the workers immediately and drop unfinished tasks."""
         for worker in self._workers:
             for process in list((worker._processes or {}).values()):
                 process.kill()  # Python 3.14 has worker.kill_workers() for this
             worker.shutdown(wait=True, cancel_futures=True)
 
 
-class _Answer(NamedTuple):
-    """What a worker sends back: the result and what it logged meanwhile. An error carries its `records` itself."""
+class _Result(NamedTuple):
+    """Result of a task with the log records of the worker; an exception carries its `records` as an attribute."""
 
-    result: Any
+    value: Any
     records: list[logging.LogRecord]
 
 
 class _Records(logging.Handler):
-    """Keeps messages in a form that can be sent."""
+    """Logging handler that keeps records in a picklable form."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.kept: list[logging.LogRecord] = []
+        self.records: list[logging.LogRecord] = []
 
     def emit(self, record: logging.LogRecord) -> None:
         record.msg, record.args, record.exc_info = self.format(record), None, None
-        self.kept.append(record)
+        self.records.append(record)
 
 
-_records = _Records()  # of the worker process
+_records = _Records()  # records of the worker process
 
 
-def _deliver(answer: "Future[_Answer]", future: "Future[Any]") -> None:
-    """Hand over what a worker sent: its messages go to the loggers of this process, and so to the run's log."""
-    if answer.cancelled():
+def _forward(result: "Future[_Result]", future: "Future[Any]") -> None:
+    """Forward the result of a worker to `future`, and its log records to the loggers of this process."""
+    if result.cancelled():
         future.cancel()
         return
-    error = answer.exception()
-    for record in answer.result().records if error is None else vars(error).get("records", []):
+    error = result.exception()
+    for record in result.result().records if error is None else vars(error).get("records", []):
         logging.getLogger(record.name).handle(record)
     if error is None:
-        future.set_result(answer.result().result)
+        future.set_result(result.result().value)
     else:
-        future.set_exception(WorkerDiedError(DIED) if isinstance(error, BrokenProcessPool) else error)
+        future.set_exception(WorkerDiedError(WORKER_DIED) if isinstance(error, BrokenProcessPool) else error)
 
 
-def _leave_answers_to_the_worker(worker: ProcessPoolExecutor) -> None:
-    """Close this process's end for writing answers: a worker that is killed while it writes one is noticed then.
+def _close_result_writer(worker: ProcessPoolExecutor) -> None:
+    """Close the write end of the result queue in this process.
 
-    With it open, the rest of the answer would be waited for for ever.
+    With it open, reading never returns if a worker is killed while it writes a result.
     """
-    answers: Any = worker._result_queue
-    if not answers._writer.closed:
-        answers._writer.close()
+    queue: Any = worker._result_queue
+    if not queue._writer.closed:
+        queue._writer.close()
 
 
 @contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """Processes started meanwhile never get Ctrl-C, which is for the main process; there it waits until the end."""
-    resource_tracker.ensure_running()  # starting it would let interrupts through again
-    before = pthread_sigmask(SIG_BLOCK, [SIGINT])
+    """Block SIGINT: child processes inherit the mask, and the main process handles Ctrl-C after the block."""
+    resource_tracker.ensure_running()  # starting it later would unblock SIGINT
+    mask = pthread_sigmask(SIG_BLOCK, [SIGINT])
     try:
         yield
     finally:
-        pthread_sigmask(SIG_SETMASK, before)
+        pthread_sigmask(SIG_SETMASK, mask)
 
 
 def _start(observer: Observer) -> None:
+    """Initialize the worker process."""
     global _observer
     _observer = observer
-    cv2.setNumThreads(1)  # one worker, one core
+    cv2.setNumThreads(1)  # one core for each worker
     signal(SIGINT, SIG_IGN)
-    os.nice(5)  # training in the main process goes first
+    os.nice(5)  # training in the main process has priority
     logging.getLogger().addHandler(_records)
     logging.captureWarnings(True)
     Thread(target=_end_with_parent, daemon=True).start()
 
 
 def _end_with_parent() -> None:
-    """A killed main process cannot stop its workers: they would wait for work for ever."""
+    """Exit when the main process ends: if it is killed, it cannot stop its workers."""
     parent = parent_process()
     assert parent is not None
     parent.join()
     os._exit(1)
 
 
-def _call(function: Callable[..., Any], scene: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> _Answer:
+def _call(function: Callable[..., Any], scene: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> _Result:
+    """Run a task in the worker process."""
     assert _observer is not None
-    _records.kept = []
+    _records.records = []
     try:
-        return _Answer(function(_observer, scene, *args, **kwargs), _records.kept)
+        return _Result(function(_observer, scene, *args, **kwargs), _records.records)
     except Exception as error:
-        vars(error)["records"] = _records.kept
+        vars(error)["records"] = _records.records
         raise

@@ -1,4 +1,4 @@
-"""One view: the sensor image at a pose, its projection and the ground truth around it."""
+"""View: the sensor image at a pose, its projection and the ground truth around the robot."""
 
 from typing import NamedTuple
 
@@ -9,14 +9,14 @@ from imagination.geometry.pose import Pose
 
 
 class View(NamedTuple):
-    """What one look gives, the truth around it included.
+    """One view with the ground truth around the robot.
 
     Attributes:
-        pose: of the robot.
-        rgb, depth: the sensor's image; depth in metres along the optical axis, 0 where nothing returned.
-        categories: ground-truth segmentation of the image; 0 none, else the category's row + 1.
+        pose: pose of the robot.
+        rgb, depth: sensor image; depth along the optical axis in metres, 0 where there is no return.
+        categories: ground-truth segmentation of the image; 0 is background, k is row k - 1 of the category table.
         occupied, seen: egocentric maps projected from depth.
-        object: V_object, the egocentric crop of M_gt, one layer for each row of the category table.
+        object: V_object, the egocentric crop of M_gt, with one layer for each row of the category table.
     """
 
     pose: Pose

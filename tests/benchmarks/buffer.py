@@ -7,7 +7,7 @@ import numpy as np
 from imagination.data.collate import assemble
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.geometry.morphology import kernel_cells
-from imagination.views.collector import Views, look
+from imagination.views.collector import Views, render_views
 from imagination.views.pose_samplers import UniformPoses
 from tests.benchmarks.measure import Figure, copying, medians
 from tests.benchmarks.subjects import SEED, config, observer
@@ -18,7 +18,7 @@ COLLECTION = 80
 
 def views_of_a_scene(folder: str, count: int = COLLECTION) -> Views:
     """Views as training collects them."""
-    return look(observer(folder), "test_0000", UniformPoses(), (SEED, 1), count)
+    return render_views(observer(folder), "test_0000", UniformPoses(), (SEED, 1), count)
 
 
 def run(folder: str) -> list[Figure]:

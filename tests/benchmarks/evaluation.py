@@ -52,7 +52,7 @@ def set_up(folder: str) -> tuple[ModelUnderTest, MappingProtocol]:
     asked: MappingProtocol = replace(instantiate(desk.evaluation), viewpoint_sets=1)
     subject = model_under_test(data, [model], asked.precision, keep=False)
     for scene in SCENES:
-        data.observer.truth(scene)  # measured elsewhere
+        data.observer.ground_truth(scene)  # measured elsewhere
     return subject, asked.available(subject.predict.gives)
 
 

@@ -153,7 +153,7 @@ def rendering(watcher: Observer, scene: str, recipe: ShardSpec) -> float:
 def writing(watcher: Observer, scene: str, corpus: Path, recipe: ShardSpec) -> float:
     """Seconds a view to write a scene anew once it and its truth are loaded; runs in a worker process."""
     watcher.scene(scene)
-    watcher.truth(scene)
+    watcher.ground_truth(scene)
     start = perf_counter()
     corpora.write_scene(watcher, scene, corpus, recipe)
     return (perf_counter() - start) / recipe.views

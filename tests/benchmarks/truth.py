@@ -47,7 +47,7 @@ def making(scene: Scene, watcher: Observer, scale: str, target: float) -> Figure
 
 def loading(scene: Scene, watcher: Observer, scale: str) -> Figure:
     """The same from the cache."""
-    arrays, key = watcher.truth(scene.name).to_arrays(), watcher.ground_truth_key(scene.name)
+    arrays, key = watcher.ground_truth(scene.name).to_arrays(), watcher.ground_truth_key(scene.name)
     times = medians(
         {
             "load": lambda: watcher.cache.load("ground_truth", key),

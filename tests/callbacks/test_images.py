@@ -1,4 +1,4 @@
-"""Pictures of views: the panels show what they should."""
+"""Images of views: content of the panels."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def test_each_view_has_a_row_of_panels() -> None:
     }
     prediction = np.zeros((2, 1, 9, 9), np.float32)
     prediction[:, :, 4, 4] = 1.0
-    prediction[:, :, 0, 0] = 0.4  # not sure enough to be valid, and far from what is
+    prediction[:, :, 0, 0] = 0.4  # below the threshold and far from valid cells
     image = draw(views, prediction, valid_threshold=0.5, epsilon=3)
     assert image.shape == (2 * PANEL, 6 * PANEL, 3)
     middle = [image[PANEL // 2, PANEL * column + PANEL // 2] for column in range(6)]

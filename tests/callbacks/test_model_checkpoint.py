@@ -1,4 +1,4 @@
-"""Which weights are kept as the best."""
+"""Selection of the best checkpoint."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from imagination.callbacks.model_checkpoint import BestCheckpoint
 
 
 class Scored(LightningModule):
-    """Its score in each round is given."""
+    """Module with a given score in each epoch."""
 
     def __init__(self, scores: list[float]) -> None:
         super().__init__()
@@ -35,10 +35,10 @@ class Scored(LightningModule):
 @pytest.mark.parametrize(
     ("scores", "best"), [([0.9, 0.3, 0.8, 0.4, 0.5], 4), ([0.9, 0.3, 0.9, 0.6, 0.5], 3), ([0.1] * 5, 1)]
 )
-def test_the_last_round_is_validated_and_may_be_the_best(
+def test_the_last_epoch_is_validated_and_may_be_the_best(
     tmp_path: Path, scores: list[float], best: int
 ) -> None:
-    """Every second round of five and the last one are validated."""
+    """Every second of five epochs and the last one are validated."""
     module = Scored(scores)
     keep = BestCheckpoint(
         dirpath=tmp_path, filename="best", monitor="val/iou", mode="max", every_n_epochs=1,

@@ -1,4 +1,4 @@
-"""The batches of a round: the same however they are drawn."""
+"""Batches of an epoch: the same with and without prefetching."""
 
 from collections.abc import Callable
 from unittest.mock import Mock
@@ -16,7 +16,7 @@ from imagination.views.collector import Collector
 
 
 def batches(device: str, accumulate: int) -> list[Batch]:
-    """Of the third round, from a hundred views."""
+    """Return the batches of the third epoch, drawn from a hundred views."""
     callback = ReplayBufferCallback(200, 5, 7, 0.9, 0, 0.5, 10)
     callback.buffer.insert(
         {"pose": np.zeros((100, 3)), "rgb": np.arange(4800, dtype=np.uint8).reshape(100, 4, 4, 3)}
@@ -31,36 +31,31 @@ def batches(device: str, accumulate: int) -> list[Batch]:
 
 
 @pytest.mark.parametrize("accumulate", [1, 3])
-def test_threads_draw_the_batches_that_would_be_drawn_without(
-    monkeypatch: pytest.MonkeyPatch, accumulate: int
-) -> None:
-    monkeypatch.setattr(replay_buffer, "pinned", lambda batch: batch)  # which needs a GPU
-    alone, ahead = batches("cpu", accumulate), batches("cuda", accumulate)
-    assert len(alone) == len(ahead) == 7 * accumulate
-    for one, other in zip(alone, ahead, strict=True):
+def test_prefetching_does_not_change_the_batches(monkeypatch: pytest.MonkeyPatch, accumulate: int) -> None:
+    monkeypatch.setattr(replay_buffer, "pinned", lambda batch: batch)  # pinning needs a GPU
+    on_demand, prefetched = batches("cpu", accumulate), batches("cuda", accumulate)
+    assert len(on_demand) == len(prefetched) == 7 * accumulate
+    for one, other in zip(on_demand, prefetched, strict=True):
         assert one.keys() == other.keys() and len(one["rgb"]) == 12 // accumulate
         assert all(torch.equal(one[name], other[name]) for name in one)
-    assert not torch.equal(alone[0]["rgb"], alone[accumulate]["rgb"])
+    assert not torch.equal(on_demand[0]["rgb"], on_demand[accumulate]["rgb"])
 
 
 @pytest.mark.parametrize(
     ("size", "expected"),
     [
-        (
-            100,
-            [[0, 1, 2], [3], [4], [], []],
-        ),  # holds all 5 collections of 10 views: nothing is collected after them
-        (20, [[1, 2], [3], [4], [0], [1]]),  # it does not: they come again, in their order
+        # the buffer holds all 5 collections of 10 views: nothing is collected after them
+        (100, [[0, 1, 2], [3], [4], [], []]),
+        # the buffer holds two collections: the collections are repeated in their order
+        (20, [[1, 2], [3], [4], [0], [1]]),
     ],
 )
-def test_rounds_after_the_last_collection_see_the_same_views_again(
-    size: int, expected: list[list[int]]
-) -> None:
-    asked: list[int] = []
+def test_epochs_after_the_last_collection_reuse_the_views(size: int, expected: list[list[int]]) -> None:
+    requested: list[int] = []
 
     def start(index: int) -> Callable[[], dict[str, np.ndarray]]:
         def wait() -> dict[str, np.ndarray]:
-            asked.append(index)
+            requested.append(index)
             return {"pose": np.full((10, 3), float(index))}
 
         return wait
@@ -68,20 +63,21 @@ def test_rounds_after_the_last_collection_see_the_same_views_again(
     collector = Mock(spec=Collector, views_per_collection=10, start=start)
     data = Mock(spec=SceneData, seed=1, batch_size=4, workers=1, fields=("pose",), predicts="maps")
     data.collector.return_value = collector
-    callback = ReplayBufferCallback(
-        size, 5, 7, 0.5, 10, 0.0, 3
-    )  # two collections before the first round, then three
+    # two collections before the first epoch, then three
+    callback = ReplayBufferCallback(size, 5, 7, 0.5, 10, 0.0, 3)
     collected = []
-    for epoch, wanted in enumerate(expected):
+    for epoch, indices in enumerate(expected):
         trainer = Mock(spec=Trainer, current_epoch=epoch, max_epochs=5, datamodule=data)
         module = Mock(spec=LightningModule)
-        asked.clear()
+        requested.clear()
         callback.on_train_epoch_start(trainer, module)
-        assert asked == wanted
+        assert requested == indices
         logged = {call.args[0]: call.args[1] for call in module.log.call_args_list}
         collected.append(logged["data/collected_views"])
     assert collected == [30, 40, 50, 50, 50]
-    resumed = ReplayBufferCallback(size, 5, 7, 0.5, 10, 0.0, 3)  # holds what one that was never stopped holds
+    resumed = ReplayBufferCallback(
+        size, 5, 7, 0.5, 10, 0.0, 3
+    )  # has the same views as the uninterrupted callback
     resumed.on_train_epoch_start(trainer, module)
     rng = np.random.default_rng(0), np.random.default_rng(0)
     draws = [each.buffer.draw(4, own)["pose"] for each, own in zip((callback, resumed), rng, strict=True)]

@@ -1,4 +1,4 @@
-"""What a training counts, and how fast it says it is."""
+"""Training statistics: counts and speed."""
 
 import time
 
@@ -16,7 +16,7 @@ DRAWING, STEP, COLLECTING = 0.05, 0.02, 0.1  # seconds
 
 
 class Slow(LightningModule):
-    """A network whose step takes a known time."""
+    """Module whose step takes a known time."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -55,16 +55,16 @@ class Drawn:
 
 
 def test_a_training_is_counted_and_timed_with_its_drawing() -> None:
-    module, record = Slow(), TrainingStats()
+    module, stats = Slow(), TrainingStats()
     trainer = lightning.Trainer(
         max_epochs=2, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
-        enable_model_summary=False, num_sanity_val_steps=0, callbacks=[record],
+        enable_model_summary=False, num_sanity_val_steps=0, callbacks=[stats],
     )  # fmt: skip
     began = time.monotonic()
-    held_out = DataLoader([{"rgb": torch.ones(VIEWS, 1)}], batch_size=None)
-    trainer.fit(module, Drawn(), held_out)
+    validation = DataLoader([{"rgb": torch.ones(VIEWS, 1)}], batch_size=None)
+    trainer.fit(module, Drawn(), validation)
     took = time.monotonic() - began
-    state = record.state_dict()
+    state = stats.state_dict()
     assert (state["epochs"], state["samples"], state["views"]) == (2, 2 * BATCHES * VIEWS, 7)
     assert state["best"] == pytest.approx(0.5)
     assert 2 * BATCHES * (DRAWING + STEP) <= state["seconds"] <= took
@@ -73,7 +73,7 @@ def test_a_training_is_counted_and_timed_with_its_drawing() -> None:
     assert (
         0.5 * waiting / (waiting + BATCHES * STEP) < float(trainer.callback_metrics["train/waiting"]) < 0.95
     )
-    assert module.steps == [BATCHES - 1, 2 * BATCHES - 1]  # where a validation stands among the updates
+    assert module.steps == [BATCHES - 1, 2 * BATCHES - 1]  # the step of each validation
 
     resumed = TrainingStats()
     resumed.load_state_dict(state)

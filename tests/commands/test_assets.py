@@ -1,4 +1,4 @@
-"""The commands that fetch what plugins need and that look at the machine."""
+"""Commands that download the assets of plugins and check the machine."""
 
 import os
 import stat
@@ -17,12 +17,12 @@ activate()
 from imagination_sweethome3d.assets import examine  # noqa: E402 isort: skip
 
 
-def test_assets_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_assets_lists_the_names(capsys: pytest.CaptureFixture[str]) -> None:
     assets.main([])
     assert "sweethome3d" in capsys.readouterr().out
-    with pytest.raises(UserError, match="assets: got 'attic', expected one of: sweethome3d"):
+    with pytest.raises(UserError, match="assets: got 'attic', .*sweethome3d"):
         assets.main(["attic"])
-    with pytest.raises(UserError, match="got deep=true, expected list=true, list=FOLDER"):
+    with pytest.raises(UserError, match="assets: got deep=true, .*list=true"):
         assets.main(["sweethome3d", "deep=true"])
 
 
@@ -32,7 +32,7 @@ def tool(folder: Path, name: str, script: str) -> None:
     path.chmod(path.stat().st_mode | stat.S_IEXEC)
 
 
-def test_the_furniture_is_fetched_without_root_and_listed(
+def test_the_furniture_is_downloaded_without_root_and_listed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = write_catalogue(tmp_path / "made" / "Test.sh3f")
@@ -61,7 +61,7 @@ def test_the_furniture_is_fetched_without_root_and_listed(
     assert lines[:2] == ["flat (train)", "    Sedia: chair (by catalogue), drawn as its model"]
 
 
-def test_a_failed_fetch_says_how_to_get_it_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_download_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tool(tmp_path, "apt-get", "echo 'E: no network' >&2; exit 100")
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     monkeypatch.setenv("IMAGINATION_ASSETS", str(tmp_path / "none"))
@@ -69,18 +69,16 @@ def test_a_failed_fetch_says_how_to_get_it_elsewhere(tmp_path: Path, monkeypatch
         assets.main(["sweethome3d"])
 
 
-def test_what_is_called_an_archive_and_is_none_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_is_no_archive_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("IMAGINATION_ASSETS", str(tmp_path))
     (tmp_path / "fake.sh3f").write_text("no zip")
     with pytest.raises(UserError, match="fake.sh3f: is not a zip file"):
         assets.main(["sweethome3d"])
     (finding,) = examine()
-    assert finding.good is False and "fake.sh3f: is not a zip file" in finding.told
+    assert finding.good is False and "fake.sh3f: is not a zip file" in finding.message
 
 
-def test_the_doctor_tells_about_the_machine_and_the_plugins(command: Command) -> None:
+def test_the_doctor_reports_on_the_machine_and_the_plugins(command: Command) -> None:
     done = command("doctor")
     lines = {line[4:].split("  ")[0].strip(): line for line in done.stdout.splitlines()}
     assert {"python", "torch", "memory", "plugin sweethome3d", "habitat-sim", "furniture"} <= set(lines)

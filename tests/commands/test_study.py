@@ -1,4 +1,4 @@
-"""The study's chain: which runs count as done, which are resumed, and what is refused before anything is trained."""
+"""The study: reuse of finished runs, resuming of unfinished ones, and checks before the trainings."""
 
 from pathlib import Path
 
@@ -7,9 +7,15 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from imagination.config.user_messages import explain
-from imagination.runs.finished_trainings import evaluated, planned, trained_key
+from imagination.runs.command import run_command
+from imagination.runs.finished_trainings import (
+    is_evaluation_only,
+    train_or_reuse,
+    training_config,
+    training_key,
+)
 from imagination.runs.folder import COMPOSED
-from imagination.study import _run, check, trained
+from imagination.study import check_evaluation
 from imagination.utils.errors import UserError
 from tests.conftest import Command
 
@@ -18,8 +24,8 @@ DONE = "tables/mapping.csv", "checkpoints/last.ckpt"
 
 
 def run(outputs: Path, date: str, overrides: list[str], *files: str) -> Path:
-    """A run's folder, as imagination.train leaves it."""
-    config = planned("chair_unet", overrides)
+    """Write a run folder as imagination.train does."""
+    config = training_config("chair_unet", overrides)
     folder = outputs / "chair_unet" / date
     for name in ("run.log", *files):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -31,34 +37,35 @@ def run(outputs: Path, date: str, overrides: list[str], *files: str) -> Path:
 
 @pytest.fixture
 def called(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
-    """Command lines instead of commands; training makes a finished run."""
+    """Record command lines instead of running commands; a training writes a finished run."""
     lines: list[str] = []
 
-    def pretend(name: str, *overrides: list[str]) -> None:
-        texts = [text for part in overrides for text in part]
-        lines.append(" ".join([name, *texts]))
-        if not texts[0].startswith("ckpt_path"):
-            run(tmp_path, "new", texts[1:], *DONE, "checkpoints/best.ckpt")
+    def record(name: str, arguments: list[str]) -> None:
+        lines.append(" ".join([name, *arguments]))
+        if not arguments[0].startswith("ckpt_path"):
+            run(tmp_path, "new", arguments[1:], *DONE, "checkpoints/best.ckpt")
 
-    monkeypatch.setattr("imagination.study._run", pretend)
+    monkeypatch.setattr("imagination.runs.finished_trainings.run_command", record)
     return lines
 
 
-def test_nothing_there_is_trained(tmp_path: Path, called: list[str]) -> None:
+def test_a_missing_run_is_trained(tmp_path: Path, called: list[str]) -> None:
     overrides = ["scale=test", f"paths.outputs={tmp_path}"]
-    assert trained("chair_unet", overrides, tmp_path) == tmp_path / "chair_unet/new/checkpoints/best.ckpt"
+    assert (
+        train_or_reuse("chair_unet", overrides, tmp_path) == tmp_path / "chair_unet/new/checkpoints/best.ckpt"
+    )
     assert called == [f"train +experiment=chair_unet scale=test paths.outputs={tmp_path}"]
-    trained("chair_unet", overrides, tmp_path)
-    assert len(called) == 1  # and not again
+    train_or_reuse("chair_unet", overrides, tmp_path)
+    assert len(called) == 1  # not trained again
 
 
 def test_the_newest_finished_run_of_the_same_config_counts(tmp_path: Path, called: list[str]) -> None:
     run(tmp_path, "1", OVERRIDES, *DONE)
-    wanted = run(tmp_path, "2", ["seed=0", *OVERRIDES], *DONE)  # told in other words
+    wanted = run(tmp_path, "2", ["seed=0", *OVERRIDES], *DONE)  # equal overrides in another order
     run(tmp_path, "3", [*OVERRIDES, "seed=1"], *DONE)
     run(tmp_path, "4", OVERRIDES, "checkpoints/last.ckpt")
     (tmp_path / "chair_unet" / "latest").symlink_to("3")
-    assert trained("chair_unet", OVERRIDES, tmp_path) == wanted / "checkpoints/last.ckpt"
+    assert train_or_reuse("chair_unet", OVERRIDES, tmp_path) == wanted / "checkpoints/last.ckpt"
     assert not called
 
 
@@ -68,14 +75,12 @@ def test_the_newest_finished_run_of_the_same_config_counts(tmp_path: Path, calle
         "trainer.max_epochs=1",
         "trainer.fast_dev_run=true",
         "callbacks.replay_buffer.update_batches=1",
-        "evaluation.viewpoint_sets=2",  # an evaluation would take it over from the run
+        "evaluation.viewpoint_sets=2",  # the evaluation would inherit it from the run
     ],
 )
-def test_a_run_that_was_trained_or_measured_in_another_way_does_not_count(
-    tmp_path: Path, called: list[str], other: str
-) -> None:
+def test_a_run_with_other_settings_does_not_count(tmp_path: Path, called: list[str], other: str) -> None:
     run(tmp_path, "1", [*OVERRIDES, other], *DONE)
-    trained("chair_unet", OVERRIDES, tmp_path)
+    train_or_reuse("chair_unet", OVERRIDES, tmp_path)
     assert called == ["train +experiment=chair_unet scale=test"]
 
 
@@ -83,16 +88,16 @@ def test_a_run_of_other_code_does_not_count(
     tmp_path: Path, called: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(tmp_path, "1", OVERRIDES, *DONE)
-    trained("chair_unet", OVERRIDES, tmp_path)
+    train_or_reuse("chair_unet", OVERRIDES, tmp_path)
     assert called == []
     monkeypatch.setattr("imagination.runs.finished_trainings.code_version", lambda packages: "another")
-    trained("chair_unet", OVERRIDES, tmp_path)
+    train_or_reuse("chair_unet", OVERRIDES, tmp_path)
     assert called == ["train +experiment=chair_unet scale=test"]
 
 
 def test_a_run_without_a_checkpoint_does_not_count(tmp_path: Path, called: list[str]) -> None:
     run(tmp_path, "1", OVERRIDES, "tables/mapping.csv")
-    trained("chair_unet", OVERRIDES, tmp_path)
+    train_or_reuse("chair_unet", OVERRIDES, tmp_path)
     assert called == ["train +experiment=chair_unet scale=test"]
 
 
@@ -102,45 +107,45 @@ def test_a_damaged_run_does_not_count(
 ) -> None:
     folder = run(tmp_path, "1", OVERRIDES, *DONE)
     (folder / COMPOSED).write_text(config)
-    trained("chair_unet", OVERRIDES, tmp_path)
-    assert len(called) == 1 and "composed.yaml is damaged" in caplog.text
+    train_or_reuse("chair_unet", OVERRIDES, tmp_path)
+    assert len(called) == 1 and "composed.yaml" in caplog.text
 
 
 def test_an_unfinished_run_is_resumed(tmp_path: Path, called: list[str]) -> None:
     folder = run(tmp_path, "1", OVERRIDES, "checkpoints/last.ckpt")
-    run(tmp_path, "2", OVERRIDES)  # ended before its first round
-    trained("chair_unet", OVERRIDES, tmp_path)
+    run(tmp_path, "2", OVERRIDES)  # ended before its first checkpoint
+    train_or_reuse("chair_unet", OVERRIDES, tmp_path)
     assert called == [f"train ckpt_path={folder}/checkpoints/last.ckpt"]
 
 
-def test_what_only_evaluation_reads_retrains_nothing() -> None:
+def test_evaluation_settings_retrain_nothing() -> None:
     for override in (
         "scale.cell_widths=[4.0]",
         "mapping/registration=mean",
         "evaluation.only=[seg_gt]",
         "ade20k=a",
     ):
-        assert evaluated(override), override
+        assert is_evaluation_only(override), override
     for override in ("scale=test", "kernels.imaginable=1.2", "model/loss=bce_dice", "scale.epochs=3"):
-        assert not evaluated(override), override
+        assert not is_evaluation_only(override), override
 
 
 @pytest.mark.parametrize(
-    ("experiments", "evaluation", "told"),
+    ("experiments", "evaluation", "message"),
     [
-        (["chair_unet", "chair_best"], [], "got chair_unet and chair_best, which both give chair"),
-        (["chair_unet", "segmentation_hrnet"], ["ade20k=a"], "got a beside checkpoint segmentation_hrnet"),
+        (["chair_unet", "chair_best"], [], "got chair_unet and chair_best"),
+        (["chair_unet", "segmentation_hrnet"], ["ade20k=a"], "ade20k: got a"),
         ([], [], "experiments: got none"),
         (["chair_unet"], ["evaluation.viewpoint_sets=0"], "viewpoint_sets: got 0"),
         (["chair_unet"], ["evaluation.only=[seg_gd]"], "evaluation.only: got 'seg_gd'"),
     ],
 )
-def test_mistakes_are_told_before_anything_is_trained(
-    experiments: list[str], evaluation: list[str], told: str
+def test_invalid_settings_are_refused_before_the_trainings(
+    experiments: list[str], evaluation: list[str], message: str
 ) -> None:
     with pytest.raises((UserError, HydraException)) as caught:
-        check(experiments, OVERRIDES, ["+study=paper", *evaluation])
-    assert told in (explain(caught.value) or "")
+        check_evaluation(experiments, OVERRIDES, ["+study=paper", *evaluation])
+    assert message in (explain(caught.value) or "")
 
 
 def test_an_unknown_comparison_trains_nothing(command: Command, tmp_path: Path) -> None:
@@ -151,22 +156,22 @@ def test_an_unknown_comparison_trains_nothing(command: Command, tmp_path: Path) 
 
 @pytest.mark.parametrize("word", ["-m", "+sweep=weights", "+hparams_search=optuna"])
 def test_sweeps_are_refused(command: Command, word: str) -> None:
-    """Each member's trainings would be a sweep again."""
+    """The trainings of each job would be a sweep again."""
     done = command("study", "scale=test", word)
-    assert done.returncode == 2 and "imagination.study knows no sweeps" in done.stderr
+    assert done.returncode == 2 and "-m: imagination.study " in done.stderr
 
 
-def test_what_only_the_other_network_reads_retrains_nothing() -> None:
-    scale = planned("segmentation_hrnet", OVERRIDES).scale
-    of_hrnet = [f"scale.{key}={2 * scale[key]}" for key in scale if key.startswith("hrnet_")]
-    changes = ([], ["scale.hrnet=hrnet_w48"], *([change] for change in of_hrnet))
+def test_settings_of_the_segmentation_network_retrain_no_unit() -> None:
+    scale = training_config("segmentation_hrnet", OVERRIDES).scale
+    hrnet = [f"scale.{key}={2 * scale[key]}" for key in scale if key.startswith("hrnet_")]
+    changes = ([], ["scale.hrnet=hrnet_w48"], *([change] for change in hrnet))
 
     def keys(experiment: str) -> set[str]:
-        return {trained_key(planned(experiment, [*OVERRIDES, *change])) for change in changes}
+        return {training_key(training_config(experiment, [*OVERRIDES, *change])) for change in changes}
 
     assert len(keys("chair_unet")) == 1 and len(keys("segmentation_hrnet")) == len(changes) > 5
 
 
 def test_a_failure_ends_the_study_with_its_code() -> None:
     with pytest.raises(SystemExit, match="2"):
-        _run("train", ["scale=huge"])
+        run_command("train", ["scale=huge"])

@@ -1,4 +1,4 @@
-"""Every experiment composes at every scale, the scale's sizes win, and bad values are refused by name."""
+"""Each experiment composes at each scale, the sizes of the scale apply, and invalid values are refused by name."""
 
 from pathlib import Path
 
@@ -28,12 +28,12 @@ def read(path: Path) -> dict:
 
 @pytest.mark.parametrize("scale", options("scale"))
 @pytest.mark.parametrize("experiment", options("experiment"))
-def test_the_scale_wins(experiment: str, scale: str) -> None:
+def test_the_scale_sets_all_sizes(experiment: str, scale: str) -> None:
     check_sizes(experiment, scale, [])
 
 
 @pytest.mark.parametrize("callbacks", options("callbacks"))
-def test_the_scale_wins_with_any_callbacks(callbacks: str) -> None:
+def test_the_scale_sets_all_sizes_with_any_callbacks(callbacks: str) -> None:
     check_sizes("chair_unet", "test", [f"callbacks=[{callbacks}]"])
 
 
@@ -41,7 +41,7 @@ def test_the_scale_wins_with_any_callbacks(callbacks: str) -> None:
 @pytest.mark.parametrize("callbacks", options("callbacks"))
 @pytest.mark.parametrize("scale", options("scale"))
 @pytest.mark.parametrize("experiment", options("experiment"))
-def test_the_scale_wins_in_every_combination(experiment: str, scale: str, callbacks: str) -> None:
+def test_the_scale_sets_all_sizes_in_every_combination(experiment: str, scale: str, callbacks: str) -> None:
     check_sizes(experiment, scale, [f"callbacks=[{callbacks}]"])
 
 
@@ -101,47 +101,47 @@ def test_paper_holds_the_appendix() -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "told"),
+    ("override", "message"),
     [
-        ("kernels.imaginable=-1", r"kernels.imaginable: got -1, expected a number in \[0.005, 10.0\] m"),
+        ("kernels.imaginable=-1", r"kernels.imaginable: got -1.*\[0.005, 10.0\] m"),
         ("kernels.ground_truth=nan", "kernels.ground_truth: got nan"),
         ("scale.resolution=0", "scale.resolution: got 0"),
-        ("aggregation_factor=1.5", r"aggregation_factor: got 1.5, expected a number in \[0.0, 1.0\]"),
+        ("aggregation_factor=1.5", r"aggregation_factor: got 1.5.*\[0.0, 1.0\]"),
         ("aggregation_factor=much", "aggregation_factor: got 'much'"),
         ("scale.cell_widths=[3.0,0]", "scale.cell_widths: got 0"),
-        ("scale.cell_widths=3.0", "expected a list"),
-        ("scale.tta_hflip=maybe", "scale.tta_hflip: got 'maybe', expected true or false"),
-        ("scale.precision=half", "scale.precision: got 'half', expected one of: 16-mixed"),
+        ("scale.cell_widths=3.0", "scale.cell_widths: got 3.0"),
+        ("scale.tta_hflip=maybe", "scale.tta_hflip: got 'maybe'"),
+        ("scale.precision=half", "scale.precision: got 'half'.*16-mixed"),
         ("trainer.precision=64-true", "trainer.precision: got '64-true'"),
         ("evaluation.precision=half", "evaluation.precision: got 'half'"),
-        ("scale.epochs=2.5", "scale.epochs: got 2.5, expected a whole number"),
+        ("scale.epochs=2.5", "scale.epochs: got 2.5"),
         ("trainer.max_epochs=null", "trainer.max_epochs: got None"),
-        ("scale.world_extent=9000", "choose a coarser resolution or a smaller extent"),
-        ("unit_categories=[sofa]", "got 'sofa', expected one of: bed, chair, table"),
-        ("unit_categories=[]", "expected at least one of: chair, bed, table"),
+        ("scale.world_extent=9000", r"map of 9000.*got \d+ cells a side"),
+        ("unit_categories=[sofa]", "got 'sofa'.*bed, chair, table"),
+        ("unit_categories=[]", "unit_categories: got none.*chair, bed, table"),
         ("name=a/b", "name: got 'a/b'"),
         ("name=default", "name: got 'default'"),
     ],
 )
-def test_out_of_range_is_refused(override: str, told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_invalid_values_are_refused(override: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
         validate(compose("train", [override]))
 
 
 def test_a_baseline_trains_as_long_as_the_units() -> None:
     for override in ("scale.epochs=85", "scale.hrnet_max_epochs=83"):
-        with pytest.raises(UserError, match="scale.hrnet_epochs: got 84, expected scale.epochs"):
+        with pytest.raises(UserError, match="scale.hrnet_epochs: got 84.*scale.epochs"):
             validate(compose("train", ["+experiment=segmentation_hrnet", "scale=small", override]))
         validate(compose("train", ["+experiment=chair_unet", "scale=small", override]))
 
 
-def test_a_small_imaginable_mask_warns() -> None:
-    with pytest.warns(UserWarning, match="kernels.imaginable .0.5 m. is smaller than"):
+def test_a_small_imaginable_kernel_warns() -> None:
+    with pytest.warns(UserWarning, match="kernels.imaginable .*0.5"):
         validate(compose("train", ["kernels.imaginable=0.5"]))
 
 
 def test_unknown_options_list_those_that_exist() -> None:
-    with pytest.raises(HydraException, match=r"(?s)scale/huge.*desk.*paper.*test"):
+    with pytest.raises(HydraException, match=r"(?s)scale/huge.*paper.*small.*test"):
         compose("train", ["scale=huge"])
 
 
@@ -164,12 +164,12 @@ def test_the_buffer_holds_enough_for_the_first_batch(scale: str) -> None:
 
 def test_an_unknown_precision_is_refused_by_name() -> None:
     assert resolved("32-true") == "32-true" and resolved("auto") in ("32-true", "bf16-mixed")
-    with pytest.raises(UserError, match="precision: got 'half', expected one of: 16-mixed"):
+    with pytest.raises(UserError, match="precision: got 'half'.*16-mixed"):
         resolved("half")
 
 
 @pytest.mark.parametrize("category", ["chair", "bed", "table", "all"])
-def test_the_best_recipe_is_the_paper_s_with_another_loss_and_rule(category: str) -> None:
+def test_the_best_recipe_differs_from_the_paper_in_loss_and_update_rule(category: str) -> None:
     paper = "all_units" if category == "all" else f"{category}_unet"
     ours, theirs = (
         OmegaConf.to_container(compose("train", [f"+experiment={name}", "paths.run=."]), resolve=True)

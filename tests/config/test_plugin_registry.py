@@ -1,4 +1,4 @@
-"""Plugins: what is found, what is refused and why, and that a broken one stops nobody."""
+"""Discovery of plugins; invalid plugins are ignored with a reason and do not stop other commands."""
 
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -12,7 +12,7 @@ from tests.conftest import Command
 
 
 def make(folder: Path, **files: str) -> Path:
-    """A plugin folder; a file's name has __ for each slash and no ending for YAML."""
+    """Write a plugin folder; in the names of files, __ stands for a slash, and YAML files have no suffix."""
     for name, text in files.items():
         path = folder / name.replace("__", "/")
         path = path if path.suffix else path.with_suffix(".yaml")
@@ -34,40 +34,40 @@ def test_a_folder_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize(
-    ("files", "told"),
+    ("files", "problem"),
     [
         ({"readme": "x"}, "no config found in"),
         ({"conf__model__mine": "a: [1"}, r"model/mine.yaml cannot be read"),
         ({"conf__model__mine": "a: 2026-13-45"}, r"model/mine.yaml cannot be read"),
         ({"conf__model__mine": "a: !!bool x"}, r"model/mine.yaml cannot be read"),
-        ({"conf__scale__desk": "a: 1"}, "'scale/desk' exists already in the core"),
+        ({"conf__scale__small": "a: 1"}, "'scale/small' exists already in the core"),
     ],
 )
-def test_a_broken_folder_is_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: dict[str, str], told: str
+def test_a_broken_folder_is_ignored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: dict[str, str], problem: str
 ) -> None:
     make(tmp_path / "plugins" / "broken", **files)
-    make(tmp_path / "plugins" / "sound", conf__model__other="a: 1")
-    both = found(tmp_path, monkeypatch)
-    assert told in both["broken"].problem
-    assert both["sound"].problem == ""
+    make(tmp_path / "plugins" / "valid", conf__model__other="a: 1")
+    plugins = found(tmp_path, monkeypatch)
+    assert problem in plugins["broken"].problem
+    assert plugins["valid"].problem == ""
 
 
-def test_what_provides_nothing_is_told(
+def test_a_config_without_a_target_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     make(tmp_path / "plugins" / "mine", conf__assets__mine="a: 1")
     monkeypatch.chdir(tmp_path)
     assert "mine" not in {name for name, _, _ in provided("assets")}
-    assert "assets/mine.yaml: names no _target_" in caplog.text
+    assert "assets/mine.yaml: got no _target_" in caplog.text
 
 
-def test_two_plugins_may_not_add_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_plugins_may_not_add_the_same_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("first", "second"):
         make(tmp_path / "plugins" / name, conf__model__mine="a: 1")
-    both = found(tmp_path, monkeypatch)
-    assert both["first"].problem == ""
-    assert "'model/mine' exists already in folder" in both["second"].problem
+    plugins = found(tmp_path, monkeypatch)
+    assert plugins["first"].problem == ""
+    assert "'model/mine' exists already in folder" in plugins["second"].problem
 
 
 class Distribution:
@@ -96,23 +96,23 @@ def test_an_installed_distribution_is_found_without_importing_it(
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "problem"),
     [("no_such_package.conf", "no package 'no_such_package'"), ("hydra.nothing", "no config found")],
 )
-def test_a_broken_distribution_is_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: str, told: str
+def test_a_broken_distribution_is_ignored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: str, problem: str
 ) -> None:
     install(monkeypatch, value)
-    assert told in found(tmp_path, monkeypatch)["rooms"].problem
+    assert problem in found(tmp_path, monkeypatch)["rooms"].problem
 
 
 def test_unknown_arguments_are_refused() -> None:
-    with pytest.raises(UserError, match="got deep=true, expected check=true"):
+    with pytest.raises(UserError, match="got deep=true.*check=true"):
         main(["deep=true"])
 
 
 def test_listing(command: Command, example_plugin: Path) -> None:
-    make(example_plugin.parent / "broken", conf__model__mine="_target_: no_such_package.Thing")
+    make(example_plugin.parent / "broken", conf__model__mine="_target_: no_such_package.Class")
     done = command("plugins")
     assert done.returncode == 0
     assert (
@@ -123,18 +123,18 @@ def test_listing(command: Command, example_plugin: Path) -> None:
     assert "no_such_package" in done.stdout
 
 
-def test_a_broken_plugin_stops_nobody_unless_it_is_used(command: Command, tmp_path: Path) -> None:
+def test_a_broken_plugin_fails_only_if_it_is_used(command: Command, tmp_path: Path) -> None:
     make(
         tmp_path / "plugins" / "broken",
-        conf__model__mine="_target_: no_such_package.Thing",
-        conf__scale__desk="a: 1",
+        conf__model__mine="_target_: no_such_package.Class",
+        conf__scale__small="a: 1",
     )
     done = command("train", "+experiment=chair_unet", "scale=test", "--cfg", "job")
     assert done.returncode == 0
-    assert "broken (folder" in done.stderr and "'scale/desk' exists already" in done.stderr
+    assert "broken (folder" in done.stderr and "'scale/small' exists already" in done.stderr
     done = command("train", "model=mine", "--cfg", "job")
     assert done.returncode == 2
-    assert "is left out" in done.stderr and "Could not find 'model/mine'" in done.stderr
+    assert "broken (folder" in done.stderr and "Could not find 'model/mine'" in done.stderr
 
 
 def test_the_example_adds_scenes_a_unit_and_a_callback(

@@ -17,15 +17,15 @@ def test_maps_of_a_mirrored_image_are_the_mirrored_maps() -> None:
     occupied, seen = project(depth)
     rgb = np.random.default_rng(1).integers(0, 256, (3, 24, 32, 3), dtype=np.uint8)
     views = {"pose": np.zeros((3, 3)), "rgb": rgb, "depth": depth, "occupied": occupied, "seen": seen}
-    which = np.array([True, False, True])
-    turned = mirrored(views, which)
-    again_occupied, again_seen = project(turned["depth"])
-    assert np.array_equal(turned["occupied"], again_occupied) and occupied.mean() > 0.01
-    # floor between two returns is seen along a line of cells, which epochs to one side
-    assert (turned["seen"] != again_seen).mean() < 0.01 < seen.mean()
-    assert np.array_equal(turned["rgb"][0, :, 0], rgb[0, :, -1])
-    assert "pose" not in turned
-    for name, values in turned.items():
+    selected = np.array([True, False, True])
+    flipped = mirrored(views, selected)
+    projected_occupied, projected_seen = project(flipped["depth"])
+    assert np.array_equal(flipped["occupied"], projected_occupied) and occupied.mean() > 0.01
+    # floor between two returns is seen along a line of cells, which rounds to one side
+    assert (flipped["seen"] != projected_seen).mean() < 0.01 < seen.mean()
+    assert np.array_equal(flipped["rgb"][0, :, 0], rgb[0, :, -1])
+    assert "pose" not in flipped
+    for name, values in flipped.items():
         assert np.array_equal(values[1], views[name][1])
         assert not np.array_equal(values[0], views[name][0])
-    assert np.array_equal(mirrored(turned, which)["depth"], depth)
+    assert np.array_equal(mirrored(flipped, selected)["depth"], depth)

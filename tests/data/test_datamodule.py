@@ -1,4 +1,4 @@
-"""Collecting views: the same whatever the workers, whatever was there before."""
+"""Collecting views: the result depends neither on the workers nor on the cache."""
 
 from pathlib import Path
 
@@ -32,9 +32,9 @@ def observer(folder: Path, source: Rooms = Rooms()) -> Observer:  # noqa: B008  
 
 
 def data(folder: Path, workers: int = 0, seed: int = 1, source: Rooms = Rooms()) -> SceneData:  # noqa: B008
-    held_out = {"val": 7, "test": 4}
+    eval_views = {"val": 7, "test": 4}
     samplers = UniformPoses(), UniformPoses()
-    return SceneData(observer(folder, source), ["bed"], *samplers, 1.0, 0.62, seed, 4, 3, held_out, workers)  # type: ignore[arg-type]
+    return SceneData(observer(folder, source), ["bed"], *samplers, 1.0, 0.62, seed, 4, 3, eval_views, workers)  # type: ignore[arg-type]
 
 
 def same(one: Views, other: Views) -> bool:
@@ -44,13 +44,13 @@ def same(one: Views, other: Views) -> bool:
 def test_workers_order_and_cache_change_nothing(tmp_path: Path) -> None:
     alone, pooled = data(tmp_path / "a"), data(tmp_path / "b", workers=2)
     try:
-        here = [alone.collector(2).start(index)() for index in (0, 1, 2)]
-        there = {index: pooled.collector(2).start(index) for index in (2, 0, 1)}  # asked for in another order
-        for index, views in enumerate(here):
-            assert same(views, there[index]())
+        in_order = [alone.collector(2).start(index)() for index in (0, 1, 2)]
+        shuffled = {index: pooled.collector(2).start(index) for index in (2, 0, 1)}
+        for index, views in enumerate(in_order):
+            assert same(views, shuffled[index]())
             assert same(views, data(tmp_path / "a").collector(2).start(index)())  # from the cache
-        assert not same(here[0], here[1])
-        assert not same(here[0], data(tmp_path / "a", seed=2).collector(2).start(0)())
+        assert not same(in_order[0], in_order[1])
+        assert not same(in_order[0], data(tmp_path / "a", seed=2).collector(2).start(0)())
     finally:
         pooled.close()
 
@@ -62,7 +62,7 @@ def test_each_scene_comes_once_before_any_comes_again(tmp_path: Path) -> None:
     assert len({tuple(lap) for lap in laps}) > 1
 
 
-def test_held_out_views_do_not_depend_on_the_runs_seed(tmp_path: Path) -> None:
+def test_evaluation_views_do_not_depend_on_the_runs_seed(tmp_path: Path) -> None:
     batches = [list(data(tmp_path / str(seed), seed=seed).val_dataloader()) for seed in (1, 2)]
     assert [len(batch["rgb"]) for batch in batches[0]] == [4, 3]
     for one, other in zip(*batches, strict=True):
@@ -82,18 +82,17 @@ def test_layers_follow_the_category_table(tmp_path: Path) -> None:
     views = data(tmp_path).collector(2).start(0)()
     assert not np.array_equal(views["object"][:, 0], views["object"][:, 1])
     everywhere = {**views, "seen": np.ones_like(views["seen"])}
-    label = data(tmp_path).assemble(everywhere)[
-        "label"
-    ]  # of an object that is all in view: the object itself
+    # the label of a completely seen object is the object itself
+    label = data(tmp_path).assemble(everywhere)["label"]
     assert np.array_equal(label[:, 0].numpy().astype(bool), views["object"][:, TABLE.index("bed") - 1])
 
 
 def test_an_unknown_category_names_those_that_exist(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="got 'sofa', expected one of: bed, chair, table"):
+    with pytest.raises(UserError, match="got 'sofa'.*bed, chair, table"):
         SceneData(observer(tmp_path), ["sofa"], UniformPoses(), UniformPoses(), 1.0, 0.62, 1, 4, 5, {}, 0)
 
 
-def test_a_category_that_no_home_contains_is_refused(tmp_path: Path) -> None:
+def test_a_category_without_objects_in_a_split_is_refused(tmp_path: Path) -> None:
     made = data(tmp_path)
     lamps = CategoryTable([*TABLE.rows, Category("piano", (0, 0, 0), {"rooms": ["piano"]})])
     asks = Observer(
@@ -106,11 +105,11 @@ def test_a_category_that_no_home_contains_is_refused(tmp_path: Path) -> None:
         }
     )
     module = SceneData(asks, ["piano"], UniformPoses(), UniformPoses(), 1.0, 0.62, 1, 4, 5, {}, 0)
-    with pytest.raises(UserError, match="category 'piano': none of the 3 scenes of the split 'train'"):
+    with pytest.raises(UserError, match="category 'piano'.*3 scenes.*'train'"):
         module.setup("fit")
 
 
-def test_training_without_a_replay_buffer_says_what_to_add(tmp_path: Path) -> None:
+def test_training_without_a_replay_buffer_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="callbacks.replay_buffer"):
         data(tmp_path).train_dataloader()
 
@@ -118,7 +117,7 @@ def test_training_without_a_replay_buffer_says_what_to_add(tmp_path: Path) -> No
 def test_balanced_poses_look_at_the_object() -> None:
     room = tiny_room()
     bed = np.array(room.of_category("bed")[0].box.centre[:2])
-    poses = BalancedPoses(["bed"], share=1.0, distance=9.0, spread=0.1)(room, 20, np.random.default_rng(0))
+    poses = BalancedPoses(["bed"], fraction=1.0, distance=9.0, spread=0.1)(room, 20, np.random.default_rng(0))
     for pose in poses:
         ahead = pose.to_robot(bed[None])[0]
         assert ahead[0] > 0 and abs(np.arctan2(ahead[1], ahead[0])) <= 0.1 + 1e-9

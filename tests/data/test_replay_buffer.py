@@ -1,4 +1,4 @@
-"""The replay buffer against a plain list of views."""
+"""Replay buffer compared with a plain list of views."""
 
 import numpy as np
 import pytest
@@ -33,20 +33,20 @@ def numbers(views: dict[str, np.ndarray]) -> list[int]:
 @given(
     size=st.integers(6, 40),
     collections=st.integers(1, 12),
-    share=st.sampled_from([0.0, 0.5, 0.9, 1.0]),
+    factor=st.sampled_from([0.0, 0.5, 0.9, 1.0]),
     seed=st.integers(0, 99),
 )
 def test_a_batch_mixes_the_past_with_the_newest_collection(
-    size: int, collections: int, share: float, seed: int
+    size: int, collections: int, factor: float, seed: int
 ) -> None:
-    buffer, kept = ReplayBuffer(size, share), []
+    buffer, kept = ReplayBuffer(size, factor), []
     for index in range(collections):
         buffer.insert(numbered(6 * index, 6))
         kept = (kept + list(range(6 * index, 6 * index + 6)))[-size:]
     assert len(buffer) == len(kept)
     past, newest = set(kept[:-6]), set(kept[-6:])
     batch = 5
-    old = round(share * batch) if past else 0
+    old = round(factor * batch) if past else 0
     if old > len(past):
         with pytest.raises(UserError, match="batch_size: got 5"):
             buffer.draw(batch, np.random.default_rng(seed))
@@ -57,7 +57,7 @@ def test_a_batch_mixes_the_past_with_the_newest_collection(
     assert len(newest & set(drawn)) == batch - old
 
 
-def test_what_a_draw_gives_does_not_depend_on_views_that_fell_out() -> None:
+def test_a_draw_does_not_depend_on_overwritten_views() -> None:
     whole, resumed = ReplayBuffer(20, 0.9), ReplayBuffer(20, 0.9)
     for index in range(9):
         whole.insert(numbered(6 * index, 6))
@@ -83,7 +83,7 @@ def test_the_aggregation_factor_is_checked(factor: float) -> None:
 
 
 def test_a_collection_larger_than_the_buffer_is_refused() -> None:
-    with pytest.raises(UserError, match="got 5 views, expected at least the 6"):
+    with pytest.raises(UserError, match=r"buffer size: got 5"):
         ReplayBuffer(5, 0.9).insert(numbered(0, 6))
 
 
@@ -94,5 +94,5 @@ def test_once_nothing_more_is_collected_all_views_are_equally_likely() -> None:
     buffer.settle()
     rng = np.random.default_rng(0)
     drawn = np.concatenate([buffer.draw(40, rng)["pose"][:, 0] for _ in range(50)])
-    shares = np.bincount(drawn.astype(int), minlength=10) / len(drawn)
-    assert shares == pytest.approx(0.1, abs=0.025)  # before it, half of each batch came from the newest ten
+    fractions = np.bincount(drawn.astype(int), minlength=10) / len(drawn)
+    assert fractions == pytest.approx(0.1, abs=0.025)  # before, half of each batch came from the newest ten

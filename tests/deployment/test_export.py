@@ -1,7 +1,8 @@
-"""Exported units answer as PyTorch does, on real views, and run without torch."""
+"""Exported units: predictions equal to PyTorch's on rendered views, without torch at run time."""
 
 import json
 import logging
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,9 +17,9 @@ import torch
 from omegaconf import OmegaConf
 
 from imagination.config.compose import compose
-from imagination.deployment.export import Sample, compare, export, sample_views
+from imagination.deployment.export import MAX_IOU_LOSS, Sample, compare, export, sample_views
 from imagination.deployment.load import load
-from imagination.deployment.torch_backend import CheckpointModule, inputs
+from imagination.deployment.torch_backend import inputs
 from imagination.mapping.predictor import Observation
 from imagination.mapping.semantic_mapper import SemanticMapper
 from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint
@@ -31,7 +32,7 @@ from tests.mapping.test_semantic_mapper import frames
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """chair.ckpt, bed.ckpt (of another variant), chair.onnx, both.onnx and both.pt2."""
+    """Folder with chair.ckpt, bed.ckpt (another backbone), chair.onnx, both.onnx and both.pt2."""
     folder = tmp_path_factory.mktemp("units")
     chair = Checkpoint.read(make_checkpoint(folder / "chair.ckpt", threshold=0.8))
     bed = Checkpoint.read(
@@ -45,58 +46,59 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", ["both.onnx", "both.pt2"])
-def test_it_answers_as_pytorch(files: Path, name: str) -> None:
+def test_predictions_equal_those_of_pytorch(files: Path, name: str) -> None:
     module, reference = load(files / name), load([files / "chair.ckpt", files / "bed.ckpt"])
     assert module.spec == reference.spec
     assert module.spec.categories == ("chair", "bed")
     views = samples(6, categories=2)
     check = compare(module, reference, views)
     assert check.difference < 1e-4
-    answers = np.stack([module(view.observation) for view in views])
-    assert answers.min() < 0.4 and answers.max() > 0.6 and answers[0].std() > 0.02
-    for channel in range(2):  # each of them looks at heights above the floor, which move with the camera
+    predictions = np.stack([module(view.observation) for view in views])
+    assert predictions.min() < 0.4 and predictions.max() > 0.6 and predictions[0].std() > 0.02
+    for channel in range(2):  # both units use heights above the floor, which change with the camera's height
         lower = views[0].observation._replace(mount_height=0.9)
         np.testing.assert_allclose(module(lower), reference(lower), atol=1e-4)
         assert np.abs(module(lower) - module(views[0].observation))[channel].max() > 1e-3
 
 
-def test_a_unit_may_look_once(tmp_path: Path) -> None:
-    file, views = make_checkpoint(tmp_path / "chair.ckpt", "scale.postprocess_dilation=0"), samples(3)
-    chair = Checkpoint.read(file)
-    assert chair.config.scale.tta_hflip
-    export([chair], tmp_path / "once.onnx", "onnx", "float32", views, look_once=True)
-    export([chair], tmp_path / "twice.onnx", "onnx", "float32", views)
-    files = tmp_path / "once.onnx", tmp_path / "twice.onnx"
-    assert [told_by(each)["look_once"] for each in files] == [True, False]
-    once, twice = map(load, files)
-    assert compare(once, CheckpointModule(file, look_once=True), views).difference < 1e-4
+def test_export_keeps_the_tta_hflip_of_the_checkpoint(tmp_path: Path) -> None:
+    views, predictors = samples(3), []
+    for tta_hflip in ("false", "true"):
+        checkpoint = make_checkpoint(
+            tmp_path / f"{tta_hflip}.ckpt", "scale.postprocess_dilation=0", f"scale.tta_hflip={tta_hflip}"
+        )
+        file = checkpoint.with_suffix(".onnx")
+        export([Checkpoint.read(checkpoint)], file, "onnx", "float32", views)
+        predictors.append(load(file))
+        assert compare(predictors[-1], load(checkpoint), views).difference < 1e-4
+    plain, averaged = predictors
     for view in views:
-        own = view.observation
-        mirror = own._replace(
+        observation = view.observation
+        flipped = observation._replace(
             **{
-                name: np.ascontiguousarray(getattr(own, name)[:, ::-1])
+                name: np.ascontiguousarray(getattr(observation, name)[:, ::-1])
                 for name in ("rgb", "depth", "occupied", "seen")
             }
         )
-        logits = [np.log(answer / (1 - answer)) for answer in (once(own), once(mirror)[..., ::-1])]
-        both = 1 / (1 + np.exp(-np.mean(logits, axis=0)))
-        np.testing.assert_allclose(twice(own), both, atol=1e-4)
-        assert np.abs(twice(own) - once(own)).max() > 1e-3
+        logits = [np.log(p / (1 - p)) for p in (plain(observation), plain(flipped)[..., ::-1])]
+        mean = 1 / (1 + np.exp(-np.mean(logits, axis=0)))
+        np.testing.assert_allclose(averaged(observation), mean, atol=1e-4)
+        assert np.abs(averaged(observation) - plain(observation)).max() > 1e-3
 
 
-def told_by(file: Path) -> dict[str, Any]:
+def metadata_of(file: Path) -> dict[str, Any]:
     metadata = {entry.key: entry.value for entry in onnx.load(file).metadata_props}
     return json.loads(metadata["imagination"])
 
 
-def test_what_the_file_says_of_itself(files: Path) -> None:
-    told = told_by(files / "both.onnx")
-    assert told["categories"] == ["chair", "bed"] and told["precision"] == "float32"
-    assert told["thresholds"] == [0.8, 0.65]  # what their validations chose
-    assert told["ego"] == {"resolution": EGO.resolution, "cells": EGO.cells}
-    assert told["camera"]["width"] == CAMERA.width and told["camera"]["mount_height"] == 1.25
+def test_metadata_of_the_file(files: Path) -> None:
+    metadata = metadata_of(files / "both.onnx")
+    assert metadata["categories"] == ["chair", "bed"] and metadata["precision"] == "float32"
+    assert metadata["thresholds"] == [0.8, 0.65]  # selected by their validations
+    assert metadata["ego"] == {"resolution": EGO.resolution, "cells": EGO.cells}
+    assert metadata["camera"]["width"] == CAMERA.width and metadata["camera"]["mount_height"] == 1.25
     np.testing.assert_allclose(
-        told["normalisation"][0]["mean"], 255 * np.array([0.485, 0.456, 0.406]), rtol=1e-5
+        metadata["normalisation"][0]["mean"], 255 * np.array([0.485, 0.456, 0.406]), rtol=1e-5
     )
 
 
@@ -146,21 +148,21 @@ def test_onnx_needs_no_torch(files: Path, tmp_path: Path) -> None:
     assert (tmp_path / "map" / "map.yaml").is_file()
 
 
-def test_what_is_no_unit_is_refused(files: Path, tmp_path: Path) -> None:
+def test_files_that_are_no_units_are_refused(files: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken.onnx"
     broken.write_bytes((files / "chair.onnx").read_bytes()[:5000])
     (tmp_path / "noise.pt2").write_bytes(bytes(1000))
     strange = onnx.load(files / "chair.onnx")
     del strange.metadata_props[:]
     onnx.save(strange, tmp_path / "strange.onnx")
-    for path, told in (
+    for path, message in (
         (broken, "cannot be read as ONNX"),
         (tmp_path / "noise.pt2", "cannot be read as a program of torch.export"),
         (tmp_path / "strange.onnx", "was not written by imagination.export"),
         (tmp_path / "none.onnx", "there is no such file"),
-        (tmp_path / "unit.pth", "expected a file that ends in one of: .onnx, .pt2, .ckpt"),
+        (tmp_path / "unit.pth", r"unit.pth, expected .*\.onnx, \.pt2, \.ckpt"),
     ):
-        with pytest.raises(UserError, match=told):
+        with pytest.raises(UserError, match=message):
             load(path)
     with pytest.raises(UserError, match="expected at least one"):
         load([])
@@ -173,7 +175,7 @@ def test_a_threshold_that_does_not_exist_is_refused(files: Path, tmp_path: Path,
     state = torch.load(files / "chair.ckpt", weights_only=True)
     state["state_dict"]["chosen"].fill_(number)
     torch.save(state, tmp_path / "chair.ckpt")
-    with pytest.raises(UserError, match=rf"got the thresholds number \[{number}\], expected 0 to 18"):
+    with pytest.raises(UserError, match=rf"got .*\[{number}\], expected 0 to 18"):
         load(tmp_path / "chair.ckpt")
 
 
@@ -181,15 +183,13 @@ def test_a_checkpoint_that_segments_images_is_refused(files: Path, tmp_path: Pat
     state = torch.load(files / "chair.ckpt", weights_only=True)
     config = compose("train", ["+experiment=segmentation_hrnet", "scale=test", "paths.run=."])
     OmegaConf.update(config, "choices", ["+experiment=segmentation_hrnet", "scale=test"])
-    torch.save(state | {KEY: ConfigInCheckpoint(config).spec}, tmp_path / "hrnet.ckpt")
-    with pytest.raises(
-        UserError, match=r"hrnet.ckpt, which gives images, expected a checkpoint that gives maps"
-    ):
+    torch.save(state | {KEY: ConfigInCheckpoint(config).saved_config}, tmp_path / "hrnet.ckpt")
+    with pytest.raises(UserError, match=r"unit: got .*hrnet\.ckpt.* images"):
         load(tmp_path / "hrnet.ckpt")
 
 
 def doubled(content: bytes) -> bytes:
-    """A unit that gives each of its maps twice."""
+    """A unit that predicts each map twice."""
     model = onnx.load_from_string(content)
     model.graph.node.append(onnx.helper.make_node("Concat", ["probabilities"] * 2, ["both"], axis=1))
     del model.graph.output[:]
@@ -198,20 +198,20 @@ def doubled(content: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
-        (lambda content: content.replace(b"occupied", b"colour__"), "does not take what a robot sees"),
-        (doubled, r"answers float32 of shape \(2, 31, 31\), expected float32 of \(1, 31, 31\)"),
+        (lambda content: content.replace(b"occupied", b"colour__"), "strange.onnx: prediction .* failed"),
+        (doubled, r"got .*float32 of shape \(2, 31, 31\)"),
         (lambda content: content.replace(b"occupied", b"\xffccupied"), "cannot be read as ONNX"),
     ],
-    ids=["another input", "another answer", "a name that is no text"],
+    ids=["another input", "another prediction", "a name that is no text"],
 )
-def test_a_unit_that_does_not_answer_as_one_is_refused(
-    files: Path, tmp_path: Path, change: Callable[[bytes], bytes], told: str
+def test_a_unit_with_an_invalid_prediction_is_refused(
+    files: Path, tmp_path: Path, change: Callable[[bytes], bytes], message: str
 ) -> None:
-    """Before a robot drives with it."""
+    """At loading time, before a robot uses it."""
     (tmp_path / "strange.onnx").write_bytes(change((files / "chair.onnx").read_bytes()))
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         load(tmp_path / "strange.onnx")
 
 
@@ -230,15 +230,15 @@ def test_a_missing_onnxruntime_says_what_to_install(files: Path, monkeypatch: py
 
 
 class Fixed(Toy):
-    """Answers the same whatever it sees."""
+    """Constant prediction."""
 
-    def __init__(self, answer: np.ndarray) -> None:
+    def __init__(self, prediction: np.ndarray) -> None:
         super().__init__("chair", "bed")
         self.spec = replace(self.spec, thresholds=(0.6, 0.8))
-        self.answer = answer
+        self.prediction = prediction
 
     def __call__(self, observation: Observation) -> np.ndarray:
-        return self.answer
+        return self.prediction
 
 
 def test_a_comparison_by_hand() -> None:
@@ -255,32 +255,31 @@ def test_a_comparison_by_hand() -> None:
     assert check.iou == pytest.approx({"chair": 2 / 7, "bed": 0.0})
     assert check.reference_iou == pytest.approx({"chair": 3 / 8, "bed": 1 / 8})
     assert check.loss == pytest.approx(1 / 8) and check.difference == pytest.approx(0.75)
-    assert check.told() == "chair 0.2857 (PyTorch 0.3750), bed 0.0000 (PyTorch 0.1250)"
+    assert check.summary() == "chair 0.2857 (PyTorch 0.3750), bed 0.0000 (PyTorch 0.1250)"
     blind = [Sample(sample.observation._replace(seen=~seen), sample.label) for sample in given]
     assert compare(Fixed(ours), Fixed(ours), blind).iou == {"chair": 0.0, "bed": 0.0}
     assert compare(Fixed(0 * ours), Fixed(ours), given[:1]).iou == {"chair": 0.0}  # no bed is there
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         ([], "ckpt: got none"),
         (["ckpt=[]"], "ckpt: got an empty list"),
-        (["ckpt=a.ckpt", "views=abc"], "views: got abc, expected a number in [1, 10000] views"),
-        (["ckpt=none.ckpt"], "got none.ckpt, but there is no such file"),
-        (["ckpt=a.ckpt", "format=tflite"], "format: got 'tflite', expected one of: onnx, torch_export"),
-        (["ckpt=a.ckpt", "precision=int4"], "expected one of: float32, int8"),
-        (["ckpt=a.ckpt", "look_once=maybe"], "look_once: got 'maybe', expected true or false"),
+        (["ckpt=a.ckpt", "views=abc"], "views: got abc"),
+        (["ckpt=none.ckpt"], "got none.ckpt"),
+        (["ckpt=a.ckpt", "format=tflite"], "format: got 'tflite'"),
+        (["ckpt=a.ckpt", "precision=int4"], "got 'int4'"),
     ],
 )
-def test_mistakes_get_one_message(command: Command, arguments: list[str], told: str) -> None:
+def test_mistakes_get_one_message(command: Command, arguments: list[str], message: str) -> None:
     done = command("export", *arguments)
     assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert told in done.stderr
+    assert message in done.stderr
 
 
 def overfit(checkpoint: Checkpoint, path: Path, views: list[Sample], steps: int) -> Checkpoint:
-    """Train the unit of a checkpoint, which lies at `path`, until it knows some views."""
+    """Train the unit of the checkpoint at `path` on some views and save it."""
     model = checkpoint.model()
     columns = zip(*(inputs(view.observation)[:4] for view in views), strict=True)
     seen = [torch.cat(column) for column in columns]
@@ -297,7 +296,7 @@ def overfit(checkpoint: Checkpoint, path: Path, views: list[Sample], steps: int)
 
 @pytest.mark.slow
 def test_bfloat16_costs_a_trained_unit_half_a_point_at_most(tmp_path: Path) -> None:
-    """With the limit as it is configured, on views with many labels that the unit was trained on."""
+    """On views with many labels that the unit was trained on."""
     path = tmp_path / "chair.ckpt"
     checkpoint = Checkpoint.read(make_checkpoint(path))
     views = sample_views(checkpoint.config, "train", 48)
@@ -306,7 +305,15 @@ def test_bfloat16_costs_a_trained_unit_half_a_point_at_most(tmp_path: Path) -> N
     export([checkpoint], tmp_path / "chair.pt2", "torch_export", "bfloat16", views)
     check = compare(load(tmp_path / "chair.pt2"), load(path), views)
     assert check.reference_iou["chair"] > 0.2 and check.difference > 1e-3
-    assert check.loss <= compose("export", []).max_loss
+    assert check.loss <= MAX_IOU_LOSS
+
+
+WITH_A_WIDE_LIMIT = """
+from imagination.deployment import export
+from imagination.export import main
+export.MAX_IOU_LOSS = 0.1
+main()
+"""
 
 
 @pytest.mark.slow
@@ -315,18 +322,25 @@ def test_bfloat16_costs_a_trained_unit_half_a_point_at_most(tmp_path: Path) -> N
     [
         ("onnx", "precision=float32"),
         ("onnx", "precision=int8"),
-        ("onnx", "look_once=true"),
         ("torch_export", "precision=float32"),
         ("torch_export", "precision=bfloat16"),
         ("onnx", "ckpt=[{0}/chair.ckpt,{0}/bed.ckpt]"),
     ],
 )
-def test_the_command(files: Path, command: Command, format: str, how: str) -> None:
-    """On scenes of the run; units that were never trained find little, so the limit on IoU is wide here."""
+def test_the_command(files: Path, command: Command, tmp_path: Path, format: str, how: str) -> None:
+    """On scenes of the run; the IoU of untrained units is low and noisy, so the limit on its loss is wide here."""
     how, file = how.format(files), f"chair{'.onnx' if format == 'onnx' else '.pt2'}"
-    arguments = [f"ckpt={files / 'chair.ckpt'}", f"format={format}", how, "views=16", "max_loss=0.1"]
-    done = command("export", *arguments, f"file={file}", timeout=600)
+    arguments = [f"ckpt={files / 'chair.ckpt'}", f"format={format}", how, "views=16"]
+    done = subprocess.run(
+        [sys.executable, "-c", WITH_A_WIDE_LIMIT, *arguments, f"file={file}"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
     assert done.returncode == 0, done.stderr
-    assert "on 16 views: largest difference" in done.stderr
+    assert file in done.stderr and "16 views" in done.stderr
+    assert (tmp_path / file).is_file()
     refused = command("export", *arguments, "file=x.txt", timeout=600)
-    assert refused.returncode == 2 and "expected a name that ends in" in refused.stderr
+    assert refused.returncode == 2 and "file: got x.txt" in refused.stderr

@@ -1,4 +1,4 @@
-"""What torch would unpickle of a .pt2 file."""
+"""Unpickling of .pt2 files is restricted to plain data."""
 
 import io
 import json
@@ -37,7 +37,7 @@ def changed(program: Path, to: Path, change: Callable[[Members], None]) -> Path:
 
 
 class Hostile:
-    """Makes a file where it is unpickled."""
+    """Creates a folder when it is unpickled."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -60,7 +60,7 @@ def test_nothing_but_plain_data_is_unpickled(program: Path, tmp_path: Path, name
 
     def hide(members: Members) -> None:
         kind, _, file = name.partition("/")
-        if kind != "sample_inputs":  # torch reads those that the list beside them names
+        if kind != "sample_inputs":  # torch reads the files of the list in the same folder
             entry = {"path_name": file, "is_param": True, "use_pickle": True, "tensor_meta": None}
             listed = members[f"unit/data/{kind}/model_{kind}_config.json"]
             assert json.loads(listed) == {"config": {}}

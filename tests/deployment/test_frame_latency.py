@@ -1,4 +1,4 @@
-"""One frame end to end, and ten thousand of them: `pytest -m slow -s tests/deployment/test_frame_latency.py`."""
+"""Latency of a frame and memory of 10,000 frames: `pytest -m slow -s tests/deployment/test_frame_latency.py`."""
 
 import time
 from collections.abc import Callable
@@ -28,28 +28,28 @@ from tests.mapping.test_semantic_mapper import frames
 
 CATEGORIES = ("chair", "bed", "table")
 
-DESK = Camera.from_degrees(128, 128, 90.0, 1.25)
-"""The units'."""
+TRAINING_CAMERA = Camera.from_degrees(128, 128, 90.0, 1.25)
+"""Camera of the units (scale=small)."""
 
 SENSOR = Intrinsics(640, 480, 390.0, 390.0, 319.5, 239.5)
-BESIDE = np.eye(4)
-BESIDE[0, 3] = 0.015
+DEPTH_TO_COLOUR = np.eye(4)
+DEPTH_TO_COLOUR[0, 3] = 0.015
 
 ROBOTS = {
-    "the units' own camera": RgbdCamera.of(DESK),
+    "the units' camera": RgbdCamera.of(TRAINING_CAMERA),
     "a tilted camera of 640 x 480": RgbdCamera(SENSOR, pitch=0.1),
-    "a tilted camera of 640 x 480 with a depth camera beside": RgbdCamera(
-        SENSOR, replace(SENSOR, distortion=(0.1, -0.2, 0.001, 0.001, 0.05)), BESIDE, pitch=0.1
+    "a tilted camera of 640 x 480 with a separate depth camera": RgbdCamera(
+        SENSOR, replace(SENSOR, distortion=(0.1, -0.2, 0.001, 0.001, 0.05)), DEPTH_TO_COLOUR, pitch=0.1
     ),
 }
-"""By what is printed; the third's images are taken from one place, which costs as much."""
+"""Cameras by printed name; the third renders both images from one position, which costs as much."""
 
 
 class Stopwatch:
-    """Notes how long a function takes.
+    """Measures the duration of a function.
 
     Attributes:
-        seconds: of each call.
+        seconds: duration of each call.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -58,44 +58,44 @@ class Stopwatch:
 
     def __call__(self, *values: Any) -> Any:
         start = time.perf_counter()
-        answer = self.function(*values)
+        result = self.function(*values)
         self.seconds.append(time.perf_counter() - start)
-        return answer
+        return result
 
 
 class Timed:
-    """A module that notes how long it was asked."""
+    """Predictor that measures the duration of predictions."""
 
     def __init__(self, path: Path) -> None:
-        self.ask = Stopwatch(load(path))
-        self.spec = self.ask.function.spec
+        self.predict = Stopwatch(load(path))
+        self.spec = self.predict.function.spec
 
     def __call__(self, observation: Observation) -> np.ndarray:
-        return self.ask(observation)
+        return self.predict(observation)
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["looks once", "looks twice"])
+@pytest.fixture(scope="module", params=["false", "true"], ids=["plain", "tta_hflip"])
 def unit(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
-    """Three units of width 16 (the small's), each with an encoder of its own, side by side in one ONNX file."""
+    """ONNX file of three units of width 16 (scale=small), each with a separate encoder."""
     folder = tmp_path_factory.mktemp("units")
-    choices = ("scale=small", "scale.precision=32-true")
+    choices = ("scale=small", "scale.precision=32-true", f"scale.tta_hflip={request.param}")
     checkpoints = [
         Checkpoint.read(make_checkpoint(folder / f"{name}.ckpt", *choices, f"unit_categories=[{name}]"))
         for name in CATEGORIES
     ]
     rgb, depth = np.zeros((128, 128, 3), np.uint8), np.full((128, 128), 2.0, np.float32)
-    view = project_depth(depth, DESK, EgoGrid.of_extent(5.22, 0.06), Toy().spec.obstacles)
-    first = Observation(rgb, depth, view.occupied, view.seen, DESK.mount_height)
+    view = project_depth(depth, TRAINING_CAMERA, EgoGrid.of_extent(5.22, 0.06), Toy().spec.obstacles)
+    first = Observation(rgb, depth, view.occupied, view.seen, TRAINING_CAMERA.mount_height)
     sample = Sample(first, np.zeros((3, 87, 87), np.bool_))
-    file = folder / ("once.onnx" if request.param else "twice.onnx")
-    export(checkpoints, file, "onnx", "float32", [sample], look_once=request.param)
+    file = folder / ("tta_hflip.onnx" if request.param == "true" else "plain.onnx")
+    export(checkpoints, file, "onnx", "float32", [sample])
     return file
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*the robot's:UserWarning")
 @pytest.mark.parametrize("robot", ROBOTS, ids=ROBOTS)
-def test_one_frame_at_desk_scale_takes_fifty_milliseconds(
+def test_one_frame_at_small_scale_takes_fifty_milliseconds(
     unit: Path, robot: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera, scene = ROBOTS[robot], tiny_room()
@@ -110,11 +110,11 @@ def test_one_frame_at_desk_scale_takes_fifty_milliseconds(
     projection, update = Stopwatch(project_depth), Stopwatch(mapper.update)
     monkeypatch.setattr("imagination.mapping.semantic_mapper.project_depth", projection)
     monkeypatch.setattr(mapper._mapper, "register", registration := Stopwatch(mapper._mapper.register))
-    module.ask.seconds.clear()
+    module.predict.seconds.clear()
     for number in range(220):
         image, pose = images[number % 20], poses[number % 20]
         update(image.rgb, image.depth, pose)
-    watches = update, module.ask, projection, registration
+    watches = update, module.predict, projection, registration
     whole, network, projected, registered = (1e3 * np.array(watch.seconds[20:]) for watch in watches)
     p50, p95 = np.percentile(whole, [50, 95])
     both = np.median(projected + registered)
@@ -131,10 +131,10 @@ def test_one_frame_at_desk_scale_takes_fifty_milliseconds(
 def test_memory_does_not_grow_over_ten_thousand_frames(tmp_path: Path, unit: Path) -> None:
     mapper, viewer = SemanticMapper(load(unit)), Preview("gif", most=20)
     viewer.open(tmp_path, mapper)
-    seen = frames(DESK)
+    seen = frames(TRAINING_CAMERA)
 
     def drive(count: int) -> int:
-        """Kilobytes in use after so many frames; not the most that ever were, which other tests may have had."""
+        """Resident memory after some frames, kilobytes; the peak may be that of other tests."""
         for number in range(count):
             viewer.show(number, mapper.update(*seen[number % len(seen)]))
         status = Path("/proc/self/status").read_text()

@@ -1,4 +1,4 @@
-"""What each approach says about a view, against masks worked out by hand."""
+"""Evidence of each approach for a view, against masks computed by hand."""
 
 import numpy as np
 import pytest
@@ -106,7 +106,7 @@ def test_finishing_the_score_is_finishing_the_thresholded_map(
         ("none", thresholded),
         ("close", close(thresholded, cells)),
         ("dilate", dilate(thresholded, cells)),
-        ("truth", thresholded & truth),
+        ("ground_truth", thresholded & truth),
     ):
         approach = Approach(SeenPrediction(), Max(), postprocess, (kernel,))
         assert ((approach.apply_postprocess(score, truth, kernel, 0.1) >= threshold) == expected).all()
@@ -157,7 +157,9 @@ def test_cropping_to_the_reach_of_views_changes_no_count() -> None:
 def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(UserError, match=r"valid_threshold: got 1\.5"):
         ValidPrediction(1.5, 0.3)
-    with pytest.raises(UserError, match="expected one of: close, grow, keep, truth"):
+    with pytest.raises(
+        UserError, match=r"approach\.postprocess: got 'melt'.*close, dilate, ground_truth, none"
+    ):
         Approach(SeenPrediction(), Max(), "melt")
     with pytest.raises(UserError, match=r"approach\.kernels: got -0\.1"):
         Approach(SeenPrediction(), Max(), "dilate", (-0.1,))

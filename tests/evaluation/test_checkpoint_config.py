@@ -15,10 +15,10 @@ from tests.helpers.room_source import Rooms
 
 
 def checkpoint(choices: list[str], *values: str, name: str = "best") -> Checkpoint:
-    """What a run with these overrides keeps of its config, without weights."""
+    """Return the checkpoint of a run with these overrides, without weights."""
     config = compose("train", [*choices, *values, "paths.run=."])
     OmegaConf.update(config, "choices", [*choices, *values])
-    return Checkpoint(Path(f"{name}.ckpt"), {KEY: ConfigInCheckpoint(config).description, "state_dict": {}})
+    return Checkpoint(Path(f"{name}.ckpt"), {KEY: ConfigInCheckpoint(config).saved_config, "state_dict": {}})
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_without_overrides_everything_is_as_in_the_run() -> None:
     ]  # in the place of references
     trained = compose("train", [*choices, *values, "paths.run=."])
     evaluated = evaluation_config([checkpoint(choices, *values)], ["ckpt=best.ckpt"])
-    assert evaluated.sweep_dir is None  # holds the time, and would pass for what was swept
+    assert evaluated.sweep_dir is None  # contains the time, which a report would take for a swept value
     for key in NODES:
         assert node(evaluated, key) == node(trained, key), key
 
@@ -82,12 +82,12 @@ def test_an_override_reaches_everything_that_refers_to_it() -> None:
     ],
 )
 def test_networks_stay_as_they_were_trained(chair: Checkpoint, change: str) -> None:
-    with pytest.raises(UserError, match=f"got {change}, but networks are evaluated as they were trained"):
+    with pytest.raises(UserError, match=f"got {change}"):
         evaluation_config([chair], ["ckpt=best.ckpt", change])
 
 
 def test_the_registration_rule_can_be_swept(chair: Checkpoint) -> None:
-    config = evaluation_config([chair], ["ckpt=best.ckpt", "mapping/registration=overwrite"])
+    config = evaluation_config([chair], ["ckpt=best.ckpt", "mapping/registration=latest"])
     assert config.evaluation.approaches.imagination.rule._target_.endswith("Latest")
     assert config.evaluation.approaches.seg_gt.rule._target_.endswith("Max")
 
@@ -103,42 +103,42 @@ def test_units_of_several_categories_stand_side_by_side(chair: Checkpoint) -> No
 
 
 @pytest.mark.parametrize(
-    ("experiments", "told"),
+    ("experiments", "message"),
     [
         (
             ["chair_unet", "all_units"],
-            r"a\.ckpt and b\.ckpt, which both give chair, expected each category once",
+            r"ckpt: got a\.ckpt and b\.ckpt.* chair",
         ),
         (
             ["chair_unet", "bed_unet", "segmentation_hrnet", "segmentation_hrnet"],
-            r"c\.ckpt and d\.ckpt, which both",
+            r"ckpt: got c\.ckpt and d\.ckpt",
         ),
     ],
 )
-def test_two_checkpoints_of_one_category_are_refused_by_name(experiments: list[str], told: str) -> None:
+def test_two_checkpoints_of_one_category_are_refused_by_name(experiments: list[str], message: str) -> None:
     given = zip(experiments, "abcd", strict=False)
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         evaluation_config(
             [checkpoint([f"+experiment={one}", "scale=test"], name=name) for one, name in given], []
         )
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "message"),
     [
         (
             "scale.resolution=0.1",
-            r"bed\.ckpt: is of bed at 0\.1 m a cell, but checkpoint best\.ckpt asks for chair",
+            r"bed\.ckpt: .*bed .*0\.1 m.* best\.ckpt .*chair",
         ),
         (
             "camera.width=40",
-            r"bed\.ckpt: was trained with the camera .*40.*, but checkpoint best\.ckpt asks for .*48",
+            r"bed\.ckpt: .*camera.*40.* best\.ckpt .*48",
         ),
     ],
 )
-def test_checkpoints_that_differ_are_refused_with_both(chair: Checkpoint, value: str, told: str) -> None:
+def test_checkpoints_that_differ_are_refused_with_both(chair: Checkpoint, value: str, message: str) -> None:
     bed = checkpoint(["+experiment=bed_unet", "scale=test"], value, name="bed")
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         evaluation_config([chair, bed], ["ckpt=[a,b]"])
 
 
@@ -146,7 +146,7 @@ def test_a_category_that_no_checkpoint_gives_is_refused(chair: Checkpoint) -> No
     network = checkpoint(
         ["+experiment=segmentation_hrnet", "scale=test"], "unit_categories=[chair]", name="net"
     )
-    with pytest.raises(UserError, match=r"net\.ckpt: is of chair .* add a checkpoint of bed"):
+    with pytest.raises(UserError, match=r"net\.ckpt: .*chair.* add .*bed"):
         evaluation_config(
             [chair, checkpoint(["+experiment=bed_unet", "scale=test"], name="bed"), network], []
         )
@@ -155,7 +155,7 @@ def test_a_category_that_no_checkpoint_gives_is_refused(chair: Checkpoint) -> No
 def test_one_segmentation_network_is_enough(chair: Checkpoint) -> None:
     network = checkpoint(["+experiment=segmentation_hrnet", "scale=test"], name="net")
     assert evaluation_config([chair], ["ckpt=a", "ade20k=weights"]).ade20k == "weights"
-    with pytest.raises(UserError, match=r"got weights beside checkpoint net\.ckpt"):
+    with pytest.raises(UserError, match=r"ade20k: got weights.*net\.ckpt"):
         evaluation_config([chair, network], ["ckpt=[a,b]", "ade20k=weights"])
 
 
@@ -167,13 +167,13 @@ def test_the_study_adds_its_rows(chair: Checkpoint) -> None:
 
 @pytest.mark.parametrize("override", ["unit_categories=[chair,bed]", "scale.resolution=0.1"])
 def test_a_checkpoint_of_something_else_is_refused(chair: Checkpoint, override: str) -> None:
-    with pytest.raises(UserError, match=r"best\.ckpt: is of chair at 0\.12 m"):
+    with pytest.raises(UserError, match=r"best\.ckpt: .*chair .*0\.12 m"):
         evaluation_config([chair], ["ckpt=best.ckpt", override])
 
 
 @pytest.mark.parametrize("override", ["camera.width=40", "scale.ego_extent=4.2", "camera.mount_height=0.9"])
 def test_another_camera_or_map_is_refused(chair: Checkpoint, override: str) -> None:
-    with pytest.raises(UserError, match=r"best\.ckpt: was trained with the (camera|ego) "):
+    with pytest.raises(UserError, match=r"best\.ckpt: .*(camera|ego)="):
         evaluation_config([chair], ["ckpt=best.ckpt", override])
 
 
@@ -181,11 +181,11 @@ def test_nothing_but_plain_values_is_taken_from_a_checkpoint(chair: Checkpoint) 
     for value in ("${oc.env:HOME}", "_target_"):
         strange = Checkpoint(chair.path, deepcopy(chair.state))
         strange.state[KEY]["values"]["name"] = value
-        with pytest.raises(UserError, match="do not use this file"):
+        with pytest.raises(UserError, match="do not use"):
             evaluation_config([strange], ["ckpt=best.ckpt"])
 
 
-def test_homes_of_training_are_not_measured_in(caplog: pytest.LogCaptureFixture) -> None:
+def test_training_scenes_are_not_evaluated(caplog: pytest.LogCaptureFixture) -> None:
     def trained_in(*scenes: str) -> Checkpoint:
         state = {"SceneData": {"scenes": {scene: rooms.fingerprint(scene) for scene in scenes}}}
         return Checkpoint(Path(f"{scenes[0]}.ckpt"), state)
@@ -194,9 +194,7 @@ def test_homes_of_training_are_not_measured_in(caplog: pytest.LogCaptureFixture)
     check_scenes([trained_in("train_0", "train_1"), Checkpoint(Path("old.ckpt"), {"callbacks": {}})], rooms)
     assert caplog.text == ""
     check_scenes([trained_in("train_0"), trained_in("train_0", "train_1")], rooms)
-    assert "were trained in different scenes" in caplog.text
+    assert "different scenes" in caplog.text
     for scene in ("val_2", "test_0"):
-        with pytest.raises(
-            UserError, match=f"{scene}.ckpt was trained in {scene}, which is {scene} of the split"
-        ):
+        with pytest.raises(UserError, match=rf"ckpt: {scene}\.ckpt.*{scene}.*split"):
             check_scenes([trained_in("train_0"), trained_in(scene)], rooms)

@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from imagination.evaluation.metrics import bootstrap_iou, count, interval, iou, mean_iou, pooled_iou, resample
 
 COUNTS = np.array([[[3, 1, 4], [2, 2, 4]], [[5, 0, 10], [10, 5, 10]]])
-"""Two scenes with two viewpoint sets each: correct, false, truth."""
+"""Two scenes with two viewpoint sets each: correct, false-positive and ground-truth pixels."""
 
 
 def test_counts_by_hand() -> None:
@@ -48,7 +48,7 @@ def test_bootstrap_follows_the_seed_alone() -> None:
 
 
 @given(st.integers(1, 20))
-def test_homes_that_are_alike_leave_no_uncertainty(scenes: int) -> None:
+def test_equal_scenes_give_an_interval_of_zero_width(scenes: int) -> None:
     counts = np.tile(np.array([[[3, 1, 4]]]), (scenes, 2, 1))
     low, high = interval(bootstrap_iou(counts, resample(scenes, 30, seed=0)))
     assert low == high == pytest.approx(3 / 5)

@@ -1,4 +1,4 @@
-"""Several networks side by side: each category from the one that has it."""
+"""Several networks together: one unit predicts each category."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ TABLE = ["chair", "bed", "table"]
 
 
 class Constant(nn.Module):
-    """A unit that answers each category with a number of its own, plus the image's brightness."""
+    """Unit that predicts a constant for each category, plus the brightness of the image."""
 
     def __init__(self, **values: float) -> None:
         super().__init__()
@@ -27,7 +27,7 @@ class Constant(nn.Module):
 
 
 class Painter(nn.Module):
-    """A segmentation network that finds its last category everywhere."""
+    """Segmentation network that predicts its last category everywhere."""
 
     def __init__(self, *categories: str) -> None:
         super().__init__()
@@ -59,8 +59,8 @@ def test_each_category_comes_from_the_unit_that_has_it() -> None:
 
 
 @pytest.mark.parametrize("gpu", [False, True])
-def test_networks_answer_in_the_precision_asked_for(gpu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    # where the network is counts, not what the machine has
+def test_networks_predict_in_the_requested_precision(gpu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    # the device of the network decides, not the availability of a GPU
     monkeypatch.setattr(torch.cuda, "is_available", lambda: gpu)
 
     class Sum(nn.Module):
@@ -84,8 +84,8 @@ def test_networks_answer_in_the_precision_asked_for(gpu: bool, monkeypatch: pyte
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_shuffling_gives_every_view_the_colours_of_another(count: int) -> None:
     predictor = Predictor([Constant(chair=0.0)], ["chair"], TABLE, 2)
-    answers = predictor(views(count), {"maps", "maps_of_shuffled_rgb"})
-    own, others = (1000 * answers[name][:, 0, 0, 0] for name in ("maps", "maps_of_shuffled_rgb"))
+    predictions = predictor(views(count), {"maps", "maps_of_shuffled_rgb"})
+    own, others = (1000 * predictions[name][:, 0, 0, 0] for name in ("maps", "maps_of_shuffled_rgb"))
     assert sorted(others.round()) == sorted(own.round()) == list(range(count))
     assert count == 1 or (own.round() != others.round()).all()
 
@@ -99,11 +99,11 @@ def test_a_segmentation_s_classes_become_rows_of_the_table() -> None:
 
 
 def test_networks_that_do_not_fit_together_are_refused() -> None:
-    with pytest.raises(UserError, match="'chair': got 2 units that imagine it"):
+    with pytest.raises(UserError, match="'chair': got 2 units"):
         Predictor([Constant(chair=0.0), Constant(chair=0.0)], ["chair"], TABLE, 2)
-    with pytest.raises(UserError, match="'bed': got 0 units that imagine it"):
+    with pytest.raises(UserError, match="'bed': got 0 units"):
         Predictor([Constant(chair=0.0)], ["bed"], TABLE, 2)
-    with pytest.raises(UserError, match="'bed': the segmentation network does not know it"):
+    with pytest.raises(UserError, match="'bed': .*segmentation network"):
         Predictor([Painter("chair")], ["bed"], TABLE, 2)
     with pytest.raises(UserError, match="got 2 segmentation networks"):
         Predictor([Painter("chair"), Painter("chair")], ["chair"], TABLE, 2)
@@ -116,12 +116,12 @@ def test_the_fingerprint_follows_weights_and_precision() -> None:
         for value, precision in kinds
     }
     assert len(prints) == 3
-    unit = Constant(chair=0.1)  # how it answers stands in no weight
-    for answers in (
+    unit = Constant(chair=0.1)  # the settings of its predictions are no weights
+    for settings in (
         {"postprocess_dilation": 3},
         {"postprocess_dilation": 1},
         {"tta_hflip": True, "postprocess_dilation": 1},
     ):
-        vars(unit).update(answers)
+        vars(unit).update(settings)
         prints.add(Predictor([unit], ["chair"], TABLE, 2).fingerprint)
     assert len(prints) == 6

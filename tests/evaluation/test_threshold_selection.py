@@ -1,4 +1,4 @@
-"""Choosing thresholds: the histogram against trying every threshold."""
+"""Selection of thresholds: the histogram against every threshold in a loop."""
 
 import numpy as np
 from hypothesis import given
@@ -14,10 +14,10 @@ SCORES = st.one_of(
 
 
 @given(arrays(np.float32, (5, 6), elements=SCORES), arrays(bool, (5, 6)))
-def test_tally_equals_every_threshold_tried(score: np.ndarray, truth: np.ndarray) -> None:
+def test_confusion_counts_equal_a_loop_over_thresholds(score: np.ndarray, truth: np.ndarray) -> None:
     expected = [count(score >= threshold, truth) for threshold in THRESHOLDS]
     assert confusion_counts(score, truth, THRESHOLDS).tolist() == np.stack(expected).tolist()
-    levels = reached(score, THRESHOLDS)  # what saved maps hold
+    levels = reached(score, THRESHOLDS)  # stored in saved maps
     assert all((levels > place).tolist() == (score >= t).tolist() for place, t in enumerate(THRESHOLDS))
 
 

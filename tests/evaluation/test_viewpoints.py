@@ -140,5 +140,5 @@ def test_poses_repeat_with_the_seed_and_need_free_space() -> None:
     free = scene()
     assert sample_poses(free, 5, np.random.default_rng(1)) == sample_poses(free, 5, np.random.default_rng(1))
     assert sample_poses(free, 0, np.random.default_rng(1)) == []
-    with pytest.raises(UserError, match="poses: got 3 to draw on 0 free cells"):
+    with pytest.raises(UserError, match=r"poses: got 3 .*0 free cells"):
         sample_poses(FreeSpace(GRID, np.zeros(GRID.shape, np.bool_)), 3, np.random.default_rng(1))

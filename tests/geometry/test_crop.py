@@ -35,7 +35,7 @@ def crop_by_loops(layer: np.ndarray, grid: Grid, pose: Pose, ego: EgoGrid) -> np
 
 
 @given(poses)
-def test_ego_cells_lie_where_the_grids_say(pose: Pose) -> None:
+def test_ego_cells_agree_with_both_grids(pose: Pose) -> None:
     corners = np.array([[0, 0], [0, 12], [12, 0], [12, 12], [3, 7]])
     world = pose.to_world(EGO.to_points(corners))
     row = GRID.rows - (world[:, 1] - GRID.origin[1]) / RESOLUTION - 0.5

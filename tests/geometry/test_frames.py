@@ -1,4 +1,4 @@
-"""Poses, grids and the camera against the conventions, by hand and by round trips."""
+"""Poses, grids and the camera against the conventions, by examples and round trips."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_centred_grid_has_a_cell_on_its_centre() -> None:
     assert grid.origin == pytest.approx((1.0 - 20.01, -2.0 - 20.01))
 
 
-def test_robot_stands_in_the_middle_of_the_last_row_looking_up() -> None:
+def test_robot_is_in_the_middle_of_the_last_row_facing_up() -> None:
     ego = EgoGrid.of_extent(5.22, 0.02)
     points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [2.0, -0.5]])  # ahead is up, left is left
     assert ego.cells == 261

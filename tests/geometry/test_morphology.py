@@ -60,9 +60,9 @@ def test_kernel_out_of_range_is_refused(size: float, resolution: float) -> None:
 
 
 def test_kernel_of_no_cells_is_refused() -> None:
-    for grow in (dilate, close):
+    for operation in (dilate, close):
         with pytest.raises(UserError, match="kernel: got 0 cells, expected at least 1"):
-            grow(np.zeros((3, 3), np.bool_), 0)
+            operation(np.zeros((3, 3), np.bool_), 0)
 
 
 def test_even_kernel_reaches_further_down_and_right() -> None:
@@ -123,16 +123,19 @@ def test_odd_kernels_commute_with_turns_and_shifts(
     mask: np.ndarray, half: int, turns: int, dr: int, dc: int
 ) -> None:
     kernel = 2 * half + 1
-    for grow in (dilate, close):
-        assert np.array_equal(np.rot90(grow(mask, kernel), turns), grow(np.rot90(mask, turns).copy(), kernel))
+    for operation in (dilate, close):
+        assert np.array_equal(
+            np.rot90(operation(mask, kernel), turns), operation(np.rot90(mask, turns).copy(), kernel)
+        )
         wide = np.pad(mask, 3 + kernel)
         assert np.array_equal(
-            np.roll(grow(wide, kernel), (dr, dc), (0, 1)), grow(np.roll(wide, (dr, dc), (0, 1)), kernel)
+            np.roll(operation(wide, kernel), (dr, dc), (0, 1)),
+            operation(np.roll(wide, (dr, dc), (0, 1)), kernel),
         )
 
 
 @given(masks, kernels, st.floats(0, 1))
 def test_scores_commute_with_thresholds(mask: np.ndarray, kernel: int, threshold: float) -> None:
     scores = np.random.default_rng(mask.size).random(mask.shape, dtype=np.float32)
-    for grow in (dilate, close):
-        assert np.array_equal(grow(scores, kernel) > threshold, grow(scores > threshold, kernel))
+    for operation in (dilate, close):
+        assert np.array_equal(operation(scores, kernel) > threshold, operation(scores > threshold, kernel))

@@ -15,7 +15,7 @@ from tests.helpers.raycast import Box, cast, pixel_rays
 OBSTACLES = Band(0.2, 1.5)
 EVERYTHING = Band(-1.0, 3.0)
 PAPER = EgoGrid(0.02, 261)
-DESK = EgoGrid(0.06, 87)
+SMALL = EgoGrid(0.06, 87)
 ROOM: Box = ((-1.0, -2.6, 0.0), (4.7, 2.1, 2.6))
 BOXES: list[Box] = [
     ((2.0, -1.2, 0.0), (2.5, -0.4, 0.6)),  # a cupboard
@@ -29,7 +29,7 @@ def camera(pixels: int = 64, pitch: float = 0.0, field_of_view: float = 90.0, ro
 
 
 class Return(NamedTuple):
-    """Where one pixel's return lies: cell of the egocentric map and height, worked out in plain numpy."""
+    """Cell of the egocentric map and height of the return of one pixel, computed in plain NumPy."""
 
     row: int
     column: int
@@ -38,13 +38,13 @@ class Return(NamedTuple):
 
 def returns(depth: np.ndarray, cam: Camera, grid: EgoGrid) -> dict[tuple[int, int], Return]:
     rays = pixel_rays(cam)
-    found = {}
+    all_returns = {}
     for v, u in np.argwhere(depth > 0):
         forward, left, up = float(depth[v, u]) * rays[v, u] + [0, 0, cam.mount_height]
         row = grid.cells - 1 - int(np.floor(forward / grid.resolution + 0.5))
         column = grid.cells // 2 - int(np.ceil(left / grid.resolution - 0.5))
-        found[v, u] = Return(row, column, up)
-    return found
+        all_returns[v, u] = Return(row, column, up)
+    return all_returns
 
 
 def intersection_over_union(a: np.ndarray, b: np.ndarray) -> float:
@@ -56,18 +56,18 @@ def test_one_return_by_hand() -> None:
     # height 1.25 - 2 * 18.5 / 32 = 0.09: floor. In cells of 0.06 m: 33.3 ahead of row 86, 8.85 right of column 43.
     depth = np.zeros((64, 64), np.float32)
     depth[50, 40] = 2.0
-    view = project_depth(depth, camera(), DESK, OBSTACLES)
+    view = project_depth(depth, camera(), SMALL, OBSTACLES)
     assert np.argwhere(view.seen).tolist() == [[53, 52]]
     assert not view.occupied.any()
     # Pixel (u 10, v 40) at 3 m: right 3 * -21.5 / 32 = -2.02, height 1.25 - 3 * 8.5 / 32 = 0.45: an obstacle.
     depth = np.zeros((64, 64), np.float32)
     depth[40, 10] = 3.0
-    view = project_depth(depth, camera(), DESK, OBSTACLES)
+    view = project_depth(depth, camera(), SMALL, OBSTACLES)
     assert np.argwhere(view.seen).tolist() == [[36, 9]]
     assert np.array_equal(view.seen, view.occupied)
 
 
-@pytest.mark.parametrize("grid", [PAPER, DESK])
+@pytest.mark.parametrize("grid", [PAPER, SMALL])
 @pytest.mark.parametrize("pitch", [0.0, 15.0, -10.0])
 def test_occupied_cells_are_those_of_the_loop(grid: EgoGrid, pitch: float) -> None:
     cam = camera(64, pitch)
@@ -83,12 +83,12 @@ def test_occupied_cells_are_those_of_the_loop(grid: EgoGrid, pitch: float) -> No
 
 
 @pytest.mark.parametrize("pitch", [0.0, 15.0])
-def test_seen_cells_are_those_that_the_rule_names(pitch: float) -> None:
-    """Cells that must be seen, and cells that may be: the strip of a column is a pixel wide, give or take a cell."""
-    grid, cam = DESK, camera(64, pitch)
+def test_seen_cells_follow_the_rule(pitch: float) -> None:
+    """Cells that must be seen and cells that may be seen: an image column is one pixel wide, within one cell."""
+    grid, cam = SMALL, camera(64, pitch)
     depth = cast(cam, ROOM, BOXES)
     rays = pixel_rays(cam)
-    found = returns(depth, cam, grid)
+    all_returns = returns(depth, cam, grid)
     must, may = np.zeros((2, grid.cells + 2, grid.cells + 2), np.bool_)
 
     def mark(target: np.ndarray, row: float, column: float) -> None:
@@ -96,11 +96,11 @@ def test_seen_cells_are_those_that_the_rule_names(pitch: float) -> None:
         if -1 <= r <= grid.cells and -1 <= c <= grid.cells:
             target[r + 1, c + 1] = True
 
-    for (v, u), place in found.items():
+    for (v, u), place in all_returns.items():
         if place.height > 1.5:
             continue
         mark(must, place.row, place.column)
-        below = found.get((v + 1, u))
+        below = all_returns.get((v + 1, u))
         if below is None or not (place.height < 0.2 and below.height < 0.2):
             continue
         ends = np.stack([depth[v + k, u] * rays[v + k, u, :2] for k in (0, 1)]) / grid.resolution
@@ -143,22 +143,22 @@ def test_floor_between_two_floor_returns_is_seen() -> None:
 def test_floor_elsewhere_is_not_filled(change: str) -> None:
     cam, depth = floor_pair()
     far = depth[42, 32]
-    if change == "gap":  # two rows apart, nothing returned between
+    if change == "gap":  # two rows apart, no return between
         depth[42, 32], depth[41, 32] = 0, 1.25 * 32 / 9.5
     elif change == "apart":  # in neighbouring columns
         depth[42, 33], depth[42, 32] = far, 0
-    elif change == "not floor":  # the upper one hits something 0.25 m high
+    elif change == "not floor":  # the upper return is 0.25 m high
         depth[42, 32] = 1.0 * 32 / 10.5
     else:  # side by side
         depth[43, 32], depth[42, 33] = 0, far
     assert project_depth(depth, cam, PAPER, OBSTACLES).seen.sum() == 2
 
 
-def test_a_step_of_floor_counts_up_to_the_band() -> None:
+def test_returns_below_the_band_are_floor() -> None:
     cam, depth = floor_pair()
     depth[42, 32] = (
         (1.25 - 0.19) * 32 / 10.5
-    )  # something 0.19 m high is still floor, at 3.23 m, nearer than the other
+    )  # a return 0.19 m high is still floor, at 3.23 m, nearer than the other
     assert project_depth(depth, cam, PAPER, OBSTACLES).seen.sum() > 10
 
 
@@ -166,9 +166,9 @@ def test_returns_above_the_band_do_not_count() -> None:
     cam = camera()
     depth = np.zeros((64, 64), np.float32)
     depth[:20] = 2.0  # at least 1.25 + 2 * 12.5 / 32 = 2.03 m up
-    view = project_depth(depth, cam, DESK, OBSTACLES)
+    view = project_depth(depth, cam, SMALL, OBSTACLES)
     assert not view.seen.any()
-    assert project_depth(depth, cam, DESK, Band(0.2, 4.0)).occupied.any()
+    assert project_depth(depth, cam, SMALL, Band(0.2, 4.0)).occupied.any()
 
 
 def test_band_is_inclusive_and_floor_lies_below_it() -> None:
@@ -197,7 +197,7 @@ def test_a_box_hides_the_floor_behind_it() -> None:
     assert empty[shadow].all()
     assert not seen[shadow].any()
     assert seen[260 - 95 : 260 - 70, 130 - 20 : 130 + 21].all()  # in front of it
-    assert seen[260 - 200, 130 - 90]  # beside its shadow
+    assert seen[260 - 200, 130 - 90]  # next to its shadow
     assert seen[260 - 200, 130 + 90]
 
 
@@ -213,7 +213,7 @@ def test_a_ray_that_passes_above_a_cell_does_not_see_it() -> None:
 
 
 @pytest.mark.parametrize("boxes", [[], BOXES[1:2], BOXES[2:]])
-@pytest.mark.parametrize("grid", [PAPER, DESK])
+@pytest.mark.parametrize("grid", [PAPER, SMALL])
 @pytest.mark.parametrize("pitch", [0.0, 15.0])
 def test_seen_does_not_depend_on_the_images_resolution(boxes: list[Box], grid: EgoGrid, pitch: float) -> None:
     coarse, fine = (
@@ -235,7 +235,7 @@ def test_seen_floor_is_the_floor_in_view() -> None:
 
 @pytest.mark.parametrize("roll", [12.0, -25.0])
 def test_a_rolled_camera_sees_the_floor_in_view(roll: float) -> None:
-    """Each cell's centre is projected into the image instead; of a bare floor, in front of the camera."""
+    """Reference: the centre of each cell of an empty floor is projected into the image."""
     cam = camera(256, pitch=20.0, roll=roll)
     points = PAPER.to_points(np.argwhere(np.ones((261, 261), np.bool_)))
     homogeneous = np.column_stack([points, np.zeros(len(points)), np.ones(len(points))])
@@ -274,8 +274,8 @@ def test_mirrored_images_give_mirrored_maps(seed: int) -> None:
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.5, 6, (32, 32)).astype(np.float32) * (rng.random((32, 32)) < 0.7)
     cam = camera(32, pitch=20.0)
-    view = project_depth(depth, cam, DESK, OBSTACLES)
-    mirrored = project_depth(depth[:, ::-1].copy(), cam, DESK, OBSTACLES)
+    view = project_depth(depth, cam, SMALL, OBSTACLES)
+    mirrored = project_depth(depth[:, ::-1].copy(), cam, SMALL, OBSTACLES)
     assert np.array_equal(view.occupied[:, ::-1], mirrored.occupied)
     assert np.array_equal(view.seen[:, ::-1], mirrored.seen)
 
@@ -286,11 +286,11 @@ def test_categories_are_those_of_the_loop() -> None:
     labels = np.random.default_rng(0).integers(0, 4, depth.shape).astype(np.uint8)
     band = Band(0.05, 2.2)
     expected = np.zeros((3, 87, 87), np.bool_)
-    for (v, u), place in returns(depth, cam, DESK).items():
+    for (v, u), place in returns(depth, cam, SMALL).items():
         if labels[v, u] and 0.05 <= place.height <= 2.2 and 0 <= place.row < 87 and 0 <= place.column < 87:
             expected[labels[v, u] - 1, place.row, place.column] = True
-    assert np.array_equal(project_categories(depth, labels, cam, DESK, 3, band), expected)
-    assert not project_categories(depth, labels, cam, DESK, 3, band, 0.1).any()
+    assert np.array_equal(project_categories(depth, labels, cam, SMALL, 3, band), expected)
+    assert not project_categories(depth, labels, cam, SMALL, 3, band, 0.1).any()
 
 
 def world_loop(
@@ -325,7 +325,7 @@ def test_splat_is_that_of_the_loop(theta: float, floor: float) -> None:
     assert np.array_equal(out, expected)
 
 
-def test_splat_adds_selected_pixels_to_what_is_there() -> None:
+def test_splat_keeps_marked_cells_and_adds_selected_pixels() -> None:
     cam, pose, grid = camera(64), Pose(0.0, 0.0, 0.3), Grid.centred(12.0, 0.05)
     depth = cast(cam, ROOM, BOXES)
     select = np.random.default_rng(1).random(depth.shape) < 0.3
@@ -354,11 +354,11 @@ def test_splat_follows_whole_cell_shifts_and_quarter_turns(dx: int, dy: int, tur
 @pytest.mark.parametrize(
     ("depth", "message"),
     [
-        (np.zeros((64, 32), np.float32), r"got shape \(64, 32\), expected \(64, 64\)"),
-        (np.zeros((64, 64)), "got float64, expected float32"),
-        (np.full((64, 64), np.nan, np.float32), "got nan in 4096 of 4096 pixels.*replace NaN"),
-        (np.full((64, 64), np.inf, np.float32), "got inf"),
-        (np.where(np.eye(64) > 0, -1, 1).astype(np.float32), "got -1.0 in 64 of"),
+        (np.zeros((64, 32), np.float32), r"depth: got shape \(64, 32\), expected \(64, 64\)"),
+        (np.zeros((64, 64)), "depth: got float64, expected float32"),
+        (np.full((64, 64), np.nan, np.float32), "depth: got nan in 4096 of 4096 pixels"),
+        (np.full((64, 64), np.inf, np.float32), "depth: got inf"),
+        (np.where(np.eye(64) > 0, -1, 1).astype(np.float32), "depth: got -1.0 in 64 of"),
     ],
 )
 def test_bad_depth_is_refused(depth: np.ndarray, message: str) -> None:
@@ -366,17 +366,17 @@ def test_bad_depth_is_refused(depth: np.ndarray, message: str) -> None:
         validate_depth(depth, camera())
     if depth.dtype == np.float32:
         with pytest.raises(UserError, match=message):
-            project_depth(depth, camera(), DESK, OBSTACLES)
+            project_depth(depth, camera(), SMALL, OBSTACLES)
 
 
 def test_bad_limits_categories_and_poses_are_refused() -> None:
     depth, labels = np.ones((64, 64), np.float32), np.full((64, 64), 4, np.uint8)
-    with pytest.raises(UserError, match="band: got 1.5 to 0.2 m, expected the lower height first"):
-        project_depth(depth, camera(), DESK, Band(1.5, 0.2))
+    with pytest.raises(UserError, match="band: got 1.5 to 0.2 m"):
+        project_depth(depth, camera(), SMALL, Band(1.5, 0.2))
     with pytest.raises(UserError, match="max_range: got nan"):
-        project_depth(depth, camera(), DESK, OBSTACLES, float("nan"))
-    with pytest.raises(UserError, match="indices up to 4, expected .* up to 3"):
-        project_categories(depth, labels, camera(), DESK, 3, OBSTACLES)
+        project_depth(depth, camera(), SMALL, OBSTACLES, float("nan"))
+    with pytest.raises(UserError, match="categories: got .*indices up to 4, expected .* up to 3"):
+        project_categories(depth, labels, camera(), SMALL, 3, OBSTACLES)
     grid = Grid.centred(5.0, 0.05)
     with pytest.raises(UserError, match="camera_to_world: got .*nan"):
         splat(depth, camera(), np.full((4, 4), np.nan), 0.0, OBSTACLES, grid, np.zeros(grid.shape, np.bool_))

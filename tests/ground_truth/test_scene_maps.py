@@ -1,4 +1,4 @@
-"""Whole-scene maps of hand-made rooms, whose right answer is known."""
+"""Whole-scene maps of hand-made rooms with known results."""
 
 import dataclasses
 import logging
@@ -31,27 +31,27 @@ TABLE_OF = CategoryTable([Category(name, (255, 0, 0)) for name in ("chair", "bed
 CHAIRS, BEDS, TABLES = range(3)
 
 
-def truth_of(scene: Scene, **changes: object) -> GroundTruth:
+def ground_truth_of(scene: Scene, **changes: object) -> GroundTruth:
     spec = dataclasses.replace(SPEC, **changes)  # type: ignore[arg-type]
     return build(scene, Renderer(scene.mesh, scene.lighting), spec, TABLE_OF)
 
 
 def cells_in(grid: Grid, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
-    """Cells whose centre lies in a rectangle."""
+    """Return the cells whose centre is in a rectangle."""
     centres = grid.to_points(np.stack(np.indices(grid.shape), -1))
     return ((centres > np.array(low) - 1e-6) & (centres < np.array(high) + 1e-6)).all(axis=-1)
 
 
 def hall(
-    *boxes: tuple[tuple[float, float, float], tuple[float, float, float]], label_growth: float = 0.0
+    *boxes: tuple[tuple[float, float, float], tuple[float, float, float]], label_margin: float = 0.0
 ) -> Scene:
-    """A 5 x 4 m floor without walls; solid boxes on it are chairs 1, 2, … whose labels are larger by `label_growth`."""
+    """Return a 5 x 4 m floor with chairs 1, 2, … as solid boxes, whose labels are larger by `label_margin`."""
     builder = MeshBuilder()
     builder.quad(np.array([[-2.5, -2, 0], [2.5, -2, 0], [2.5, 2, 0], [-2.5, 2, 0]]), BUILDING)
     objects = []
     for instance, (low, high) in enumerate(boxes, start=1):
         builder.box(low, high, instance)
-        centre, size = (np.array(low) + high) / 2, np.subtract(high, low) + label_growth
+        centre, size = (np.array(low) + high) / 2, np.subtract(high, low) + label_margin
         box = OrientedBox(tuple(centre.tolist()), tuple(size.tolist()), 0.0)
         objects.append(SceneObject(instance, "chair", "chair", box))
     mesh = builder.build()
@@ -59,77 +59,84 @@ def hall(
 
 
 def test_room_as_expected() -> None:
-    """Solid furniture fills its box; the lamp is in no category; walls are occupied only."""
-    truth = truth_of(tiny_room())
-    grid = truth.grid
+    """Solid furniture fills its box; the lamp has no category; walls are occupied only."""
+    ground_truth = ground_truth_of(tiny_room())
+    grid = ground_truth.grid
     boxes = [
         cells_in(grid, (-1.4, 0.2), (-0.95, 0.65)),
         cells_in(grid, (1.0, -1.6), (2.5, 0.4)),
         cells_in(grid, (-1.9, 0.6), (-0.5, 1.4)),
     ]
-    np.testing.assert_array_equal(truth.label, boxes)
-    np.testing.assert_array_equal(truth.truth[BEDS], boxes[BEDS])
-    np.testing.assert_array_equal(truth.truth[TABLES], boxes[TABLES])
-    np.testing.assert_array_equal(truth.truth[CHAIRS], boxes[CHAIRS])
-    # the chair is pushed under the table: the cells both boxes hold are truth of both
-    assert (truth.truth[CHAIRS] & truth.truth[TABLES]).any()
+    np.testing.assert_array_equal(ground_truth.label, boxes)
+    np.testing.assert_array_equal(ground_truth.truth[BEDS], boxes[BEDS])
+    np.testing.assert_array_equal(ground_truth.truth[TABLES], boxes[TABLES])
+    np.testing.assert_array_equal(ground_truth.truth[CHAIRS], boxes[CHAIRS])
+    # the chair is pushed under the table: the cells of both boxes belong to both categories
+    assert (ground_truth.truth[CHAIRS] & ground_truth.truth[TABLES]).any()
     middle = cells_in(grid, (-0.4, -1.9), (0.9, 1.9))
-    assert not truth.occupied[middle].any()
+    assert not ground_truth.occupied[middle].any()
     lamp, wall = cells_in(grid, (-2.1, -1.6), (-2.0, -1.5)), cells_in(grid, (-2.55, -1), (-2.5, 1))
-    assert truth.occupied[lamp].any() and truth.occupied[wall].all()
-    assert not truth.segmented[:, lamp].any()
+    assert ground_truth.occupied[lamp].any() and ground_truth.occupied[wall].all()
+    assert not ground_truth.segmented[:, lamp].any()
 
 
 def test_boxes_larger_than_their_object_gain_only_occupied_cells_near_its_returns() -> None:
-    """A label 2.4 m too wide reaches over the second thing, 0.8 m away; M_seg, grown by 0.3 m a side, does not."""
-    scene = hall(((0.0, 0.0, 0.0), (0.4, 0.4, 0.8)), ((1.2, 0.0, 0.0), (1.6, 0.4, 0.8)), label_growth=2.4)
+    """A label 2.4 m too wide covers the second object, 0.8 m away; M_seg, dilated by 0.3 m a side, does not."""
+    scene = hall(((0.0, 0.0, 0.0), (0.4, 0.4, 0.8)), ((1.2, 0.0, 0.0), (1.6, 0.4, 0.8)), label_margin=2.4)
     scene = dataclasses.replace(
         scene, objects=(scene.objects[0], dataclasses.replace(scene.objects[1], category=None))
     )
-    truth = truth_of(scene)
+    ground_truth = ground_truth_of(scene)
     np.testing.assert_array_equal(
-        truth.truth[CHAIRS], truth.occupied & cells_in(truth.grid, (-0.1, -0.1), (0.5, 0.5))
+        ground_truth.truth[CHAIRS],
+        ground_truth.occupied & cells_in(ground_truth.grid, (-0.1, -0.1), (0.5, 0.5)),
     )
-    np.testing.assert_array_equal(truth.truth, truth.occupied & truth.label & truth.segmented)
-    assert (truth.occupied & truth.label[CHAIRS] & cells_in(truth.grid, (1.2, 0), (1.6, 0.4))).any()
-    assert (truth.label & truth.segmented).sum() > truth.truth.sum() + 10
+    np.testing.assert_array_equal(
+        ground_truth.truth, ground_truth.occupied & ground_truth.label & ground_truth.segmented
+    )
+    assert (
+        ground_truth.occupied & ground_truth.label[CHAIRS] & cells_in(ground_truth.grid, (1.2, 0), (1.6, 0.4))
+    ).any()
+    assert (ground_truth.label & ground_truth.segmented).sum() > ground_truth.truth.sum() + 10
 
 
 @pytest.mark.parametrize("size", [0.6, 0.56])
 def test_dilation_is_in_metres_and_anchored_as_settled(size: float) -> None:
-    """A thin pole returns into one column of cells; M_seg is the square around them."""
+    """A thin pole has returns in a few cells; M_seg is the square around them."""
     scene = hall(((0.01, 0.01, 0.0), (0.03, 0.03, 1.4)))
-    truth = truth_of(scene, dilation=size)
-    rows, columns = np.nonzero(truth_of(scene, dilation=0.0).segmented[CHAIRS])
+    ground_truth = ground_truth_of(scene, dilation=size)
+    rows, columns = np.nonzero(ground_truth_of(scene, dilation=0.0).segmented[CHAIRS])
     kernel = round(size / 0.08)  # 8 (up and left 3, down and right 4) and 7
-    expected = np.zeros(truth.grid.shape, bool)
+    expected = np.zeros(ground_truth.grid.shape, bool)
     expected[rows.min() - (kernel - 1) // 2 : rows.max() + kernel // 2 + 1,
              columns.min() - (kernel - 1) // 2 : columns.max() + kernel // 2 + 1] = True  # fmt: skip
     assert len(rows) <= 4
-    np.testing.assert_array_equal(truth.segmented[CHAIRS], expected)
+    np.testing.assert_array_equal(ground_truth.segmented[CHAIRS], expected)
 
 
 def test_only_heights_of_obstacles_are_occupied() -> None:
     low, high, floating = (0.0, 0.0, 0.0), (0.5, 0.5, 0.15), ((1.2, 0.0, 1.6), (1.6, 0.4, 2.0))
-    truth = truth_of(hall((low, high), floating))
-    assert not truth.occupied.any() and not truth.truth.any()
-    assert truth.segmented[CHAIRS][cells_in(truth.grid, low[:2], high[:2])].all()  # M_seg takes every height
-    assert truth.segmented[CHAIRS][cells_in(truth.grid, (1.2, 0.0), (1.6, 0.4))].any()
+    ground_truth = ground_truth_of(hall((low, high), floating))
+    assert not ground_truth.occupied.any() and not ground_truth.truth.any()
+    assert ground_truth.segmented[CHAIRS][
+        cells_in(ground_truth.grid, low[:2], high[:2])
+    ].all()  # M_seg takes every height
+    assert ground_truth.segmented[CHAIRS][cells_in(ground_truth.grid, (1.2, 0.0), (1.6, 0.4))].any()
 
 
-def test_warns_of_objects_without_truth(caplog: pytest.LogCaptureFixture) -> None:
+def test_warns_of_objects_without_ground_truth(caplog: pytest.LogCaptureFixture) -> None:
     scene = hall(((0.0, 0.0, 0.0), (0.5, 0.5, 0.15)), ((1.2, 0.0, 0.0), (1.6, 0.4, 0.8)))
     with caplog.at_level(logging.WARNING):
-        truth_of(scene)
+        ground_truth_of(scene)
     assert "1 of 2 objects of category chair have no cell in the ground truth (instances 1)" in caplog.text
     caplog.clear()
-    truth_of(tiny_room())
+    ground_truth_of(tiny_room())
     assert not caplog.text
 
 
 @pytest.mark.parametrize(("field_of_view", "height"), [(90.0, 0.0), (75.0, 0.0), (90.0, -3.1)])
 def test_sees_all_around_from_one_point(field_of_view: float, height: float) -> None:
-    """Eight posts around the only free cell, wherever the floor is and however wide the camera's view."""
+    """Eight posts around the only free cell, at any floor height and field of view."""
     directions = np.arange(8) * np.pi / 4 + 0.3
     posts = [(1.5 * np.cos(angle), 1.5 * np.sin(angle)) for angle in directions]
     scene = hall(*[((x - 0.1, y - 0.1, 0.0), (x + 0.1, y + 0.1, 0.8)) for x, y in posts])
@@ -139,48 +146,50 @@ def test_sees_all_around_from_one_point(field_of_view: float, height: float) -> 
     scene = dataclasses.replace(
         scene, mesh=mesh, free_space=free, floor_height=height, ceiling_height=height + 2.6
     )
-    truth = truth_of(scene, camera=Camera.from_degrees(96, 96, field_of_view, 1.25))
-    np.testing.assert_array_equal(truth.points, [[0.0, 0.0]])
+    ground_truth = ground_truth_of(scene, camera=Camera.from_degrees(96, 96, field_of_view, 1.25))
+    np.testing.assert_array_equal(ground_truth.points, [[0.0, 0.0]])
     for x, y in posts:
-        assert truth.truth[CHAIRS][cells_in(truth.grid, (x - 0.1, y - 0.1), (x + 0.1, y + 0.1))].any()
+        assert ground_truth.truth[CHAIRS][
+            cells_in(ground_truth.grid, (x - 0.1, y - 0.1), (x + 0.1, y + 0.1))
+        ].any()
 
 
 def test_shift_changes_nothing_and_a_quarter_turn_turns() -> None:
     straight, odd = tiny_room(), {"dilation": 0.56}
-    here = truth_of(straight, **odd)
-    there = truth_of(tiny_room(shift=(3.2, -1.6)), **odd)
-    turned = truth_of(tiny_room(turn=np.pi / 2), **odd)
-    np.testing.assert_allclose(np.subtract(there.grid.origin, here.grid.origin), (3.2, -1.6), atol=1e-5)
-    np.testing.assert_array_equal(there.truth, here.truth)
-    np.testing.assert_array_equal(turned.truth, np.rot90(here.truth, axes=(1, 2)))
-    assert here.truth.any(axis=(1, 2)).all()
+    original = ground_truth_of(straight, **odd)
+    shifted = ground_truth_of(tiny_room(shift=(3.2, -1.6)), **odd)
+    turned = ground_truth_of(tiny_room(turn=np.pi / 2), **odd)
+    np.testing.assert_allclose(np.subtract(shifted.grid.origin, original.grid.origin), (3.2, -1.6), atol=1e-5)
+    np.testing.assert_array_equal(shifted.truth, original.truth)
+    np.testing.assert_array_equal(turned.truth, np.rot90(original.truth, axes=(1, 2)))
+    assert original.truth.any(axis=(1, 2)).all()
 
 
 @pytest.mark.parametrize("turn", [0.5, 1.1])
 def test_any_turn_keeps_the_area(turn: float) -> None:
-    truth = truth_of(tiny_room(turn=turn)).truth
-    area = truth.sum(axis=(1, 2)) * SPEC.resolution**2
+    gt = ground_truth_of(tiny_room(turn=turn)).truth
+    area = gt.sum(axis=(1, 2)) * SPEC.resolution**2
     np.testing.assert_allclose(area[[BEDS, TABLES]], [1.5 * 2.0, 1.4 * 0.8], rtol=0.04)
 
 
 def test_image_resolution_hardly_matters() -> None:
-    fine = truth_of(tiny_room(turn=0.3), camera=Camera.from_degrees(192, 192, 90.0, 1.25)).truth
-    coarse = truth_of(tiny_room(turn=0.3), camera=Camera.from_degrees(64, 64, 90.0, 1.25)).truth
+    fine = ground_truth_of(tiny_room(turn=0.3), camera=Camera.from_degrees(192, 192, 90.0, 1.25)).truth
+    coarse = ground_truth_of(tiny_room(turn=0.3), camera=Camera.from_degrees(64, 64, 90.0, 1.25)).truth
     assert (fine & coarse).sum() / (fine | coarse).sum() > 0.98
 
 
 def test_scene_larger_than_the_map() -> None:
     with pytest.raises(
         UserError,
-        match="scene tiny is larger than the map: got ground_truth.extent 4.0 m, expected at least 5",
+        match="scene tiny .*ground_truth.extent 4.0 m, expected at least 5",
     ):
-        truth_of(tiny_room(), extent=4.0)
+        ground_truth_of(tiny_room(), extent=4.0)
 
 
-def test_mesh_and_objects_belong_together() -> None:
+def test_instances_of_the_mesh_must_be_listed() -> None:
     scene = tiny_room()
-    with pytest.raises(UserError, match=rf"faces of the instances \[{LAMP}\]"):
-        truth_of(dataclasses.replace(scene, objects=scene.objects[:-1]))
+    with pytest.raises(UserError, match=rf"scene tiny: got .*instances \[{LAMP}\]"):
+        ground_truth_of(dataclasses.replace(scene, objects=scene.objects[:-1]))
     assert [obj.instance for obj in scene.objects] == [TABLE, CHAIR, BED, LAMP]
 
 
@@ -191,11 +200,11 @@ def test_refuses_bad_settings(changes: dict[str, float]) -> None:
 
 
 def test_arrays_and_back() -> None:
-    truth = truth_of(tiny_room(shift=(1.0, 2.0)))
-    again = GroundTruth.from_arrays(truth.to_arrays())
-    assert again.grid == truth.grid
+    ground_truth = ground_truth_of(tiny_room(shift=(1.0, 2.0)))
+    again = GroundTruth.from_arrays(ground_truth.to_arrays())
+    assert again.grid == ground_truth.grid
     for name in GroundTruth._fields[1:]:
-        np.testing.assert_array_equal(getattr(again, name), getattr(truth, name))
+        np.testing.assert_array_equal(getattr(again, name), getattr(ground_truth, name))
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.05, 3), st.floats(0.05, 3), st.floats(-7, 7))
@@ -217,7 +226,7 @@ def test_box_cells_are_those_with_their_centre_between_the_edges(
 
 
 def test_box_cells_by_hand() -> None:
-    """1 m long and turned 30 degrees to the left of +y: its far end is up and left in the map."""
+    """A box 1 m long, turned 30 degrees to the left of +y: its far end is up and left in the map."""
     grid = Grid(0.1, 40, 40, (-2.0, -2.0))
     window, inside = box_cells(OrientedBox((0.0, 0.0, 0.0), (1.0, 0.1, 1.0), np.deg2rad(120)), grid)
     drawn = np.zeros(grid.shape, bool)
@@ -245,10 +254,10 @@ def test_points_cover_all_free_space(seed: int, spacing: float) -> None:
     free = FreeSpace(Grid(0.05, 31, 47, (-1.0, 2.0)), mask)
     points = panorama_points(free, spacing)
     assert mask[tuple(free.grid.to_cells(points).T)].all()
-    every = free.grid.to_points(np.argwhere(mask))
-    distance = np.abs(every[:, None] - points).max(axis=-1).min(axis=1)
-    assert distance.max() < spacing  # in the same square as its point
-    squares = np.floor((points - every.min(axis=0)) / spacing + 1e-6)
+    positions = free.grid.to_points(np.argwhere(mask))
+    distance = np.abs(positions[:, None] - points).max(axis=-1).min(axis=1)
+    assert distance.max() < spacing  # each cell is in the same square as its point
+    squares = np.floor((points - positions.min(axis=0)) / spacing + 1e-6)
     assert len(np.unique(squares, axis=0)) == len(points)
 
 

@@ -1,4 +1,4 @@
-"""Masks and labels against maps worked out by hand and by brute force."""
+"""Masks and labels against hand-made maps and brute force."""
 
 from collections.abc import Callable
 
@@ -63,7 +63,7 @@ def test_nothing_seen_nothing_to_imagine(function: Callable[..., np.ndarray]) ->
     assert not function(OBJECTS, np.zeros_like(SEEN), 4).any()
 
 
-def test_one_seen_area_serves_all_layers() -> None:
+def test_one_seen_map_is_broadcast_to_all_layers() -> None:
     objects = np.stack([OBJECTS, SEEN, OBJECTS.T])[None]
     together = label(objects, SEEN[None, None], 3)
     assert together.shape == objects.shape

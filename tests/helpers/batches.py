@@ -12,11 +12,11 @@ def random_batch(
     height: int | None = None,
     seed: int = 0,
 ) -> dict[str, Tensor]:
-    """A batch with the types and shapes that the datamodule delivers; nothing in it fits anything else."""
+    """Return a random batch with the types and shapes of the data module's batches."""
     generator = torch.Generator().manual_seed(seed)
 
-    def bits(channels: int, share: float) -> Tensor:
-        return (torch.rand(views, channels, cells, cells, generator=generator) < share).to(torch.uint8)
+    def bits(channels: int, probability: float) -> Tensor:
+        return (torch.rand(views, channels, cells, cells, generator=generator) < probability).to(torch.uint8)
 
     image = (height or size, size)
     label = bits(categories, 0.1)
@@ -31,5 +31,5 @@ def random_batch(
 
 
 def inputs(batch: dict[str, Tensor]) -> list[Tensor]:
-    """What a unit takes, in order."""
+    """Return the inputs of a unit, in order."""
     return [batch[name] for name in ("rgb", "depth", "occupied", "seen")]

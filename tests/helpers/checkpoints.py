@@ -1,4 +1,4 @@
-"""Checkpoints of units that were never trained: small, and made in a moment."""
+"""Small checkpoints of untrained units."""
 
 from pathlib import Path
 
@@ -20,24 +20,29 @@ from tests.helpers.toy_units import CAMERA, EGO, Toy
 
 
 def make_checkpoint(path: Path, *choices: str, threshold: float = 0.5) -> Path:
-    """A checkpoint as training would write it, of a unit that was never trained; at scale=test unless chosen.
+    """Write a checkpoint of an untrained unit in the format of training.
 
-    `threshold` stands for what a validation would have chosen.
+    Args:
+        path: path of the file.
+        choices: overrides of the config; the scale is `test` by default.
+        threshold: threshold in place of one selected by a validation.
     """
-    every = [*choices] if any(choice.startswith("scale=") for choice in choices) else ["scale=test", *choices]
-    config = compose("train", [*every, "paths.run=."])
-    OmegaConf.update(config, "choices", every)
+    overrides = (
+        [*choices] if any(choice.startswith("scale=") for choice in choices) else ["scale=test", *choices]
+    )
+    config = compose("train", [*overrides, "paths.run=."])
+    OmegaConf.update(config, "choices", overrides)
     torch.manual_seed(0)
     model = instantiate(config.model.module)
     liven(model.unit, config)
     model.chosen.fill_(THRESHOLDS.index(threshold))
-    spec = ConfigInCheckpoint(config).spec
+    spec = ConfigInCheckpoint(config).saved_config
     torch.save({"state_dict": model.state_dict(), KEY: spec}, path)
     return path
 
 
 def liven(unit: torch.nn.Module, config: DictConfig) -> None:
-    """Give an untrained unit answers on both sides of one half, by the statistics of random observations."""
+    """Scale the head of an untrained unit so that its predictions for random observations fall on both sides of 0.5."""
     generator = torch.Generator().manual_seed(0)
     size, cells = config.camera.width, instantiate(config.ego).cells
     maps = (torch.rand(4, 2, cells, cells, generator=generator) < 0.3).to(torch.uint8)
@@ -54,14 +59,14 @@ def liven(unit: torch.nn.Module, config: DictConfig) -> None:
 
 
 def samples(count: int, categories: int = 1) -> list[Sample]:
-    """Real views of a room."""
+    """Render samples in a room."""
     scene = tiny_room()
     renderer = Renderer(scene.mesh, scene.lighting)
-    found = []
+    result = []
     for number in range(count):
         pose = Pose(0.5, -0.6 + 0.1 * number, 2.1 * number)
         image = renderer.render(CAMERA, CAMERA.to_world(pose))
         view = project_depth(image.depth, CAMERA, EGO, Toy().spec.obstacles)
-        seen = Observation(image.rgb, image.depth, view.occupied, view.seen, CAMERA.mount_height)
-        found.append(Sample(seen, np.zeros((categories, EGO.cells, EGO.cells), np.bool_)))
-    return found
+        observation = Observation(image.rgb, image.depth, view.occupied, view.seen, CAMERA.mount_height)
+        result.append(Sample(observation, np.zeros((categories, EGO.cells, EGO.cells), np.bool_)))
+    return result

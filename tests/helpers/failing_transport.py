@@ -1,4 +1,4 @@
-"""Transports that end the service: one once the map of its only frame is told, one before anything came."""
+"""Transports that end the service: after the map of one frame is published, or before any message."""
 
 import signal
 from collections.abc import Callable
@@ -8,20 +8,20 @@ import numpy as np
 from imagination_ros.codec import Codec
 
 from imagination.geometry.pose import Pose
-from tests.helpers.robot import BEGIN, ROS2, Messages, Taken, spoken
+from tests.helpers.robot import BEGIN, ROS2, Messages, RecordedFrame, robot_messages
 from tests.helpers.toy_units import CAMERA
 
 
 class FailingTransport:
-    """Brings one frame, interrupts the service once its map is told, and fails when it is closed."""
+    """Delivers one frame, interrupts the service when its map is published, and fails when it is closed."""
 
     def __init__(self, **_: Any) -> None:
         self.codec = Codec("ros2_humble", 10**8)
 
     def open(self) -> None:
         rgb, depth = np.full((48, 48, 3), 90, np.uint8), np.full((48, 48), 2.0, np.float32)
-        taken = Taken(BEGIN, Pose(0.0, 0.0, 0.0), rgb, depth)
-        self.topics = spoken(taken, CAMERA, Messages(ROS2), True)
+        taken = RecordedFrame(BEGIN, Pose(0.0, 0.0, 0.0), rgb, depth)
+        self.topics = robot_messages(taken, CAMERA, Messages(ROS2), True)
 
     def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
         for name, _, message in self.topics:
@@ -36,7 +36,7 @@ class FailingTransport:
 
 
 class SilentTransport(FailingTransport):
-    """Interrupts the service, having brought nothing."""
+    """Interrupts the service before any message."""
 
     def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
         signal.raise_signal(signal.SIGINT)

@@ -1,6 +1,6 @@
-"""A stand-in for habitat-sim 0.3 that behaves as was measured on the real one, around a tiny room.
+"""Fake of habitat-sim 0.3 with a tiny room; its behaviour was measured on the real simulator.
 
-Its world has y up: (x, y, z) there is (x, -z, y) of the room. Images come from the ray caster and agree with the room.
+Its world has y up: (x, y, z) is (x, -z, y) of the room. The ray caster renders its images.
 """
 
 import sys
@@ -16,18 +16,17 @@ from tests.helpers.rooms import tiny_room
 
 FLOOR = 0.4
 FIRST_ID = 7
-"""Semantic ids begin here, so that they are no instance ids by chance."""
-
+"""First semantic id; it differs from all instance ids."""
 
 COLOR, DEPTH, SEMANTIC = 1, 2, 3
 
 
 class Crash(BaseException):
-    """Where the real one ends the whole process."""
+    """Raised where the real simulator aborts the process."""
 
 
 class Fake:
-    """The state of one fake module, and what a test may break in it."""
+    """State of one fake module, and the defects that a test may set."""
 
     def __init__(self) -> None:
         self.room = tiny_room(turn=0.3, shift=(1.0, 2.0), floor_height=FLOOR)
@@ -44,28 +43,28 @@ class Pathfinder:
     def seed(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
 
-    def _places(self) -> np.ndarray:
+    def _navigable_points(self) -> np.ndarray:
         free = self._fake.room.free_space
         x, y = free.grid.to_points(np.argwhere(free.mask)).T
         return np.stack([x, np.full_like(x, FLOOR + 0.05), -y], axis=-1)
 
     def get_random_navigable_point(self) -> np.ndarray:
         if not self.is_loaded:
-            raise Crash("asked an unloaded pathfinder")
-        places = self._places()
-        return np.asarray(places[self._rng.integers(len(places))])
+            raise Crash("query to an unloaded pathfinder")
+        points = self._navigable_points()
+        return np.asarray(points[self._rng.integers(len(points))])
 
     def get_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        places = self._places()
-        return places.min(axis=0) - 0.025, places.max(axis=0) + 0.025
+        points = self._navigable_points()
+        return points.min(axis=0) - 0.025, points.max(axis=0) + 0.025
 
     def get_topdown_view(self, metres_per_pixel: float, height: float) -> np.ndarray:
         low, high = self.get_bounds()
         rows, columns = np.ceil((high - low)[[2, 0]] / metres_per_pixel - 1e-6).astype(int)
         view = np.zeros((rows, columns), bool)
-        places = self._places()
-        row = ((places[:, 2] - low[2]) / metres_per_pixel).astype(int)
-        column = ((places[:, 0] - low[0]) / metres_per_pixel).astype(int)
+        points = self._navigable_points()
+        row = ((points[:, 2] - low[2]) / metres_per_pixel).astype(int)
+        column = ((points[:, 0] - low[0]) / metres_per_pixel).astype(int)
         view[row, column] = abs(height - FLOOR) < 0.5
         return view
 
@@ -88,9 +87,9 @@ class Simulator:
         for sensor in self._sensors:
             assert sensor.position == sensor.orientation == [0.0, 0.0, 0.0]
             assert all(isinstance(value, float) for value in (*sensor.position, *sensor.orientation))
-            assert sensor.sensor_type != COLOR or not simulator.pbr_image_based_lighting, "it starts for 20 s"
-        at_the_origin = SimpleNamespace(components=(1.0, 0.0, 0.0, 0.0))
-        self._state = SimpleNamespace(position=(0.0, 0.0, 0.0), rotation=at_the_origin)
+            assert sensor.sensor_type != COLOR or not simulator.pbr_image_based_lighting, "slow start"
+        identity = SimpleNamespace(components=(1.0, 0.0, 0.0, 0.0))
+        self._state = SimpleNamespace(position=(0.0, 0.0, 0.0), rotation=identity)
         self._renderer = Renderer(self.fake.room.mesh, self.fake.room.lighting)
         self.pathfinder = Pathfinder(self.fake)
         objects = [] if self.fake.unnamed else [_object(obj) for obj in self.fake.room.objects]
@@ -110,7 +109,7 @@ class Simulator:
         camera = Camera.from_degrees(width, height, self._sensors[0].hfov, 1.0)
         w, x, y, z = self._state.rotation.components
         px, py, pz = (float(value) for value in self._state.position)
-        columns = [_turned((w, x, y, z), axis) for axis in ((1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0))]
+        columns = [_rotate((w, x, y, z), axis) for axis in ((1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0))]
         pose = np.eye(4)  # the optical axes in the room: right, down, forward
         for number, (cx, cy, cz) in enumerate(columns):
             pose[:3, number] = cx, -cz, cy
@@ -118,27 +117,27 @@ class Simulator:
         image = self._renderer.render(camera, pose)
         semantic = np.where(image.instance > 0, image.instance + FIRST_ID, 0).astype(np.uint32)
         colour = np.concatenate([image.rgb, np.full((height, width, 1), 255, np.uint8)], axis=-1)
-        seen = {COLOR: colour, DEPTH: image.depth, SEMANTIC: semantic * (0 if self.fake.blind else 1)}
-        return {sensor.uuid: seen[sensor.sensor_type] for sensor in self._sensors}
+        images = {COLOR: colour, DEPTH: image.depth, SEMANTIC: semantic * (0 if self.fake.blind else 1)}
+        return {sensor.uuid: images[sensor.sensor_type] for sensor in self._sensors}
 
     def close(self) -> None:
         pass
 
 
-def _turned(q: tuple[float, float, float, float], v: tuple[float, float, float]) -> np.ndarray:
-    """A vector turned by a quaternion w, x, y, z: q v q*."""
+def _rotate(q: tuple[float, float, float, float], v: tuple[float, float, float]) -> np.ndarray:
+    """Rotate a vector by a quaternion w, x, y, z: q v q*."""
     w, u = q[0], np.array(q[1:])
     vector = np.array(v, float)
     return np.asarray(vector + 2 * np.cross(u, np.cross(u, vector) + w * vector))
 
 
 def _object(obj: Any) -> Any:
-    """An object as the semantic scene has it: its box turned about the vertical axis, which is y there."""
+    """Return an object of the semantic scene, with its box rotated about the vertical axis y."""
     x, y, z = obj.box.centre
     width, depth, height = obj.box.size
     half = np.array([width, height, depth]) / 2
-    turn = np.array([0.0, np.sin(obj.box.yaw / 2), 0.0, np.cos(obj.box.yaw / 2)])
-    obb = SimpleNamespace(center=np.array([x, z, -y]), half_extents=half, rotation=turn)
+    rotation = np.array([0.0, np.sin(obj.box.yaw / 2), 0.0, np.cos(obj.box.yaw / 2)])
+    obb = SimpleNamespace(center=np.array([x, z, -y]), half_extents=half, rotation=rotation)
     category = SimpleNamespace(name=lambda: obj.label)
     return SimpleNamespace(
         id=f"0_{obj.instance}", semantic_id=obj.instance + FIRST_ID, category=category, obb=obb
@@ -146,22 +145,24 @@ def _object(obj: Any) -> Any:
 
 
 def install(monkeypatch: pytest.MonkeyPatch) -> Fake:
-    """Let `import habitat_sim` and `import quaternion` find the fake; its state."""
+    """Install fake modules habitat_sim and quaternion, and return the state of the fake."""
     fake = Fake()
-    plain = lambda **values: type("Plain", (SimpleNamespace,), values)  # noqa: E731
+    record = lambda **values: type("Record", (SimpleNamespace,), values)  # noqa: E731
     module, numbers = ModuleType("habitat_sim"), ModuleType("quaternion")
     contents = {
         "Simulator": type("FakeSimulator", (Simulator,), {"fake": fake}),
         "__version__": "0.3.3",
-        "SimulatorConfiguration": plain(gpu_device_id=0, enable_physics=False, pbr_image_based_lighting=True),
-        "CameraSensorSpec": plain(
+        "SimulatorConfiguration": record(
+            gpu_device_id=0, enable_physics=False, pbr_image_based_lighting=True
+        ),
+        "CameraSensorSpec": record(
             position=[0.0, 0.0, 0.0], orientation=[0.0, 0.0, 0.0], hfov=90.0, sensor_type=COLOR
         ),
         "SensorType": SimpleNamespace(COLOR=COLOR, DEPTH=DEPTH, SEMANTIC=SEMANTIC),
         "Configuration": lambda simulator, agents: SimpleNamespace(parts=(simulator, agents)),
         "AgentState": lambda position, rotation: SimpleNamespace(position=position, rotation=rotation),
-        "NavMeshSettings": plain(set_defaults=lambda self: None, cell_height=0.2),
-        "agent": SimpleNamespace(AgentConfiguration=plain()),
+        "NavMeshSettings": record(set_defaults=lambda self: None, cell_height=0.2),
+        "agent": SimpleNamespace(AgentConfiguration=record()),
     }
     for name, value in contents.items():
         setattr(module, name, value)

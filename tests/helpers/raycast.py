@@ -1,4 +1,4 @@
-"""Depth images of a room with boxes by analytic ray casting: an independent camera for the tests."""
+"""Depth images of a room with boxes by analytic ray casting: an independent reference camera."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:
-    """Directions (h, w, 3) in the robot's frame of a camera without roll, measuring 1 along the optical axis."""
+    """Return the ray directions (h, w, 3) in the robot frame of a camera without roll, 1 along the optical axis."""
     focal = camera.width / 2 / np.tan(camera.field_of_view / 2)
     across = (np.arange(camera.width) + 0.5 - camera.width / 2) / focal
     down = (np.arange(camera.height) + 0.5 - camera.height / 2) / focal
@@ -18,7 +18,7 @@ def pixel_rays(camera: Camera) -> np.ndarray:
 
 
 def cast(camera: Camera, room: Box, boxes: list[Box]) -> np.ndarray:
-    """Depth of the room's inner walls, floor and ceiling and of the boxes, all given in the robot's frame."""
+    """Return the depth of the inside of a room and of boxes, all given in the robot frame."""
     rays = pixel_rays(camera)
     origin = np.array([0.0, 0.0, camera.mount_height])
     depth = _slabs(origin, rays, room)[1]

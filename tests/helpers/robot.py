@@ -1,4 +1,4 @@
-"""A simulated robot that drives through a scene and records what it sees, as TUM folders, plain folders and bags."""
+"""Simulated robot that drives through a scene and records TUM folders, plain folders and bags."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ TICK = 100_000_000
 """Nanoseconds between two frames."""
 
 BEGIN = 1_700_000_000_123_456_789
-"""Of the recording."""
+"""Start of the recording, nanoseconds."""
 
 TUM_SCALE = 5000
 
@@ -34,8 +34,8 @@ ROS2, ROS1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC
 ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
 
 
-class Taken(NamedTuple):
-    """One frame as the robot took it; depth in whole 1/5000 m, which every format holds exactly as float32."""
+class RecordedFrame(NamedTuple):
+    """Frame of the robot; depth in multiples of 1/5000 m, which every format represents exactly as float32."""
 
     stamp: int
     pose: Pose
@@ -44,7 +44,7 @@ class Taken(NamedTuple):
 
 
 def corridor_path(free: FreeSpace, steps: int) -> list[Pose]:
-    """The path between the two free cells that are farthest apart on foot, as far from walls as it can be."""
+    """Return the path between the two free cells with the largest walking distance, away from walls."""
     cells = np.argwhere(free.mask)[::1]
     index = np.full(free.mask.shape, -1)
     index[tuple(cells.T)] = np.arange(len(cells))
@@ -54,8 +54,8 @@ def corridor_path(free: FreeSpace, steps: int) -> list[Pose]:
         other = cells + [dr, dc]
         inside = ((other >= 0) & (other < free.mask.shape)).all(axis=1)
         a, b = cells[inside], other[inside]
-        both = index[tuple(b.T)] >= 0
-        a, b = a[both], b[both]
+        free_pairs = index[tuple(b.T)] >= 0
+        a, b = a[free_pairs], b[free_pairs]
         cost = np.hypot(dr, dc) * (1 + 4 / np.minimum(clearance[tuple(a.T)], clearance[tuple(b.T)]))
         links.append((index[tuple(a.T)], index[tuple(b.T)], cost))
     start, end, cost = (np.concatenate(column) for column in zip(*links, strict=True))
@@ -71,21 +71,23 @@ def corridor_path(free: FreeSpace, steps: int) -> list[Pose]:
     while way[-1] != first:
         way.append(int(before[way[-1]]))
     points = free.grid.to_points(cells[way])
-    chosen = points[np.linspace(0, len(points) - 1, steps).astype(int)]
-    ahead = np.diff(chosen, axis=0, append=2 * chosen[-1:] - chosen[-2:-1])
+    selected = points[np.linspace(0, len(points) - 1, steps).astype(int)]
+    ahead = np.diff(selected, axis=0, append=2 * selected[-1:] - selected[-2:-1])
     return [
         Pose(float(x), float(y), float(np.arctan2(b, a)))
-        for (x, y), (a, b) in zip(chosen, ahead, strict=True)
+        for (x, y), (a, b) in zip(selected, ahead, strict=True)
     ]
 
 
-def drive(scene: Scene, camera: Camera, poses: Sequence[Pose]) -> Iterator[Taken]:
-    """What the robot sees on its way."""
+def drive(scene: Scene, camera: Camera, poses: Sequence[Pose]) -> Iterator[RecordedFrame]:
+    """Render the frames along a path."""
     renderer = Renderer(scene.mesh, scene.lighting)
     for number, pose in enumerate(poses):
         image = renderer.render(camera, camera.to_world(pose, scene.floor_height))
         depth = np.rint(image.depth * TUM_SCALE).clip(0, 65535).astype(np.uint16)
-        yield Taken(BEGIN + number * TICK, pose, image.rgb, depth.astype(np.float32) / np.float32(TUM_SCALE))
+        yield RecordedFrame(
+            BEGIN + number * TICK, pose, image.rgb, depth.astype(np.float32) / np.float32(TUM_SCALE)
+        )
 
 
 def seconds(stamp: int) -> str:
@@ -100,8 +102,8 @@ def quaternion(matrix: np.ndarray) -> list[float]:
     return Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist()
 
 
-def record_tum(folder: Path, frames: Sequence[Taken], camera: Camera) -> None:
-    """A TUM RGB-D folder; poses are those of the camera."""
+def record_tum(folder: Path, frames: Sequence[RecordedFrame], camera: Camera) -> None:
+    """Write a TUM RGB-D folder with poses of the camera."""
     lines: dict[str, list[str]] = {
         "rgb": ["# color images"],
         "depth": ["# depth maps"],
@@ -123,8 +125,8 @@ def record_tum(folder: Path, frames: Sequence[Taken], camera: Camera) -> None:
         (folder / f"{name}.txt").write_text("\n".join(text) + "\n")
 
 
-def record_folder(folder: Path, frames: Sequence[Taken], camera: Camera) -> None:
-    """A plain folder; poses are those of the robot."""
+def record_folder(folder: Path, frames: Sequence[RecordedFrame], camera: Camera) -> None:
+    """Write a plain folder with poses of the robot."""
     folder.mkdir(parents=True)
     k = Intrinsics.of(camera)
     colour = {name: getattr(k, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
@@ -139,7 +141,7 @@ def record_folder(folder: Path, frames: Sequence[Taken], camera: Camera) -> None
 
 
 class Messages:
-    """Makes ROS messages of a type store: ROS 1 names some fields otherwise and numbers its headers."""
+    """Factory of ROS messages of a type store; ROS 1 has other field names and header sequence numbers."""
 
     def __init__(self, store: Any, ros1: bool = False) -> None:
         self.store, self.ros1 = store, ros1
@@ -246,10 +248,10 @@ def base_to_world(pose: Pose) -> np.ndarray:
     return matrix
 
 
-def spoken(
-    taken: Taken, camera: Camera, messages: Messages, first: bool, odometry: bool = False
+def robot_messages(
+    taken: RecordedFrame, camera: Camera, messages: Messages, first: bool, odometry: bool = False
 ) -> list[Topic]:
-    """What a robot publishes of one frame."""
+    """Return the messages that a robot publishes for one frame."""
     stamp, pose, rgb, depth = taken
     out: list[Topic] = []
     if first:
@@ -275,20 +277,22 @@ def spoken(
 
 def record_bag(
     path: Path,
-    frames: Sequence[Taken],
+    frames: Sequence[RecordedFrame],
     camera: Camera,
     kind: str = "mcap",
     odometry: bool = False,
     change: Callable[[list[Topic], int], list[Topic]] = lambda topics, _: topics,
 ) -> None:
-    """A bag: kind is mcap, sqlite3 or ros1; `change` may alter what is written of each frame."""
+    """Write a bag of the kind mcap, sqlite3 or ros1; `change` may alter the messages of each frame."""
     ros1 = kind == "ros1"
     messages = Messages(ROS1 if ros1 else ROS2, ros1)
     writer = Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=StoragePlugin[kind.upper()])
     with writer:
         links: dict[str, Any] = {}
         for number, taken in enumerate(frames):
-            for topic, name, message in change(spoken(taken, camera, messages, not number, odometry), number):
+            for topic, name, message in change(
+                robot_messages(taken, camera, messages, not number, odometry), number
+            ):
                 if topic not in links:
                     links[topic] = writer.add_connection(topic, name, typestore=messages.store)
                 encode = messages.store.serialize_ros1 if ros1 else messages.store.serialize_cdr

@@ -1,6 +1,6 @@
-"""A robot in its own process: speaks over Zenoh what it sees in a room, some of it broken, and listens to the maps.
+"""Robot in a separate process: publishes frames of a room over Zenoh, some invalid messages, and receives the maps.
 
-Its arguments are the endpoint to connect to and the folder to write what it heard to.
+The arguments are the endpoint to connect to and the folder for the received messages.
 """
 
 import json
@@ -11,7 +11,7 @@ from pathlib import Path
 import zenoh
 import zenoh.ext
 
-from tests.helpers.robot import ROS2, Messages, corridor_path, drive, spoken
+from tests.helpers.robot import ROS2, Messages, corridor_path, drive, robot_messages
 from tests.helpers.rooms import tiny_room
 from tests.helpers.toy_units import CAMERA
 
@@ -23,36 +23,36 @@ def main(endpoint: str, folder: Path) -> None:
     config.insert_json5("listen/endpoints", "[]")
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("timestamping/enabled", "true")
-    heard: dict[str, bytes] = {}
+    received: dict[str, bytes] = {}
     scene = tiny_room()
     frames = list(drive(scene, CAMERA, corridor_path(scene.free_space, 10)))
-    block = zenoh.CongestionControl.BLOCK  # so that none is lost on a busy machine
+    block = zenoh.CongestionControl.BLOCK  # no message is lost on a busy machine
     with zenoh.open(config) as session:
         session.declare_subscriber(
-            "imagination/*", lambda sample: heard.update({str(sample.key_expr): sample.payload.to_bytes()})
+            "imagination/*", lambda sample: received.update({str(sample.key_expr): sample.payload.to_bytes()})
         )
         latched = zenoh.ext.declare_advanced_publisher(
             session, "tf_static", cache=zenoh.ext.CacheConfig(max_samples=10), publisher_detection=True
         )
         messages = Messages(ROS2)
-        topics = [name.strip("/") for name, *_ in spoken(frames[0], CAMERA, messages, False)]
-        wanted = [session.declare_publisher(topic) for topic in dict.fromkeys(topics)]
-        while not all(publisher.matching_status.matching for publisher in wanted):
-            time.sleep(0.05)  # until it listens
-        begun = time.time_ns()
+        topics = [name.strip("/") for name, *_ in robot_messages(frames[0], CAMERA, messages, False)]
+        publishers = [session.declare_publisher(topic) for topic in dict.fromkeys(topics)]
+        while not all(publisher.matching_status.matching for publisher in publishers):
+            time.sleep(0.05)  # wait for the service
+        start = time.time_ns()
         for number, taken in enumerate(frames):
-            now = taken._replace(stamp=begun + number * 10**8)
+            now = taken._replace(stamp=start + number * 10**8)
             session.put("camera/color/image_raw", b"\x00\x01\x00\x00 noise", congestion_control=block)
             session.put("tf", bytes(100_000), congestion_control=block)
-            for topic, name, message in spoken(now, CAMERA, messages, not number):
+            for topic, name, message in robot_messages(now, CAMERA, messages, not number):
                 data = bytes(ROS2.serialize_cdr(message, name))
                 if topic == "/tf_static":
                     latched.put(data)
                 else:
                     session.put(topic.strip("/"), data, congestion_control=block)
-            for _ in range(200):  # until it has been mapped, so that none is dropped
+            for _ in range(200):  # wait until the frame is mapped, so that none is dropped
                 time.sleep(0.05)
-                grid = heard.get("imagination/occupancy")
+                grid = received.get("imagination/occupancy")
                 if (
                     grid
                     and ROS2.deserialize_cdr(grid, "nav_msgs/msg/OccupancyGrid").header.stamp.nanosec
@@ -60,7 +60,7 @@ def main(endpoint: str, folder: Path) -> None:
                 ):
                     break
         time.sleep(0.5)
-    for name, data in heard.items():
+    for name, data in received.items():
         (folder / name.replace("/", "_")).write_bytes(data)
 
 

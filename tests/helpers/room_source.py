@@ -1,4 +1,4 @@
-"""A scene source of hand-made rooms, for tests of everything that looks at scenes."""
+"""Scene source of hand-made rooms, for tests that need scenes."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from tests.helpers.rooms import tiny_room
 
 @dataclass(frozen=True)
 class Rooms:
-    """`count` tiny rooms in each split, all turned differently."""
+    """Source of `count` tiny rooms in each split with different rotations."""
 
     count: int = 3
     name: str = "rooms"

@@ -1,4 +1,4 @@
-"""A small furnished room made by hand, for tests that need a whole scene but no scene source."""
+"""A small hand-made furnished room, for tests that need a whole scene without a scene source."""
 
 from itertools import product
 
@@ -13,14 +13,14 @@ ROBOT_RADIUS = 0.18
 
 
 class MeshBuilder:
-    """Collects boxes and quadrilaterals; instance i has colour COLOURS[i % 5]."""
+    """Builder of a mesh of boxes and quadrilaterals; instance i has colour COLOURS[i % 5]."""
 
     def __init__(self) -> None:
         self._quads: list[np.ndarray] = []
         self._owner: list[int] = []
 
     def quad(self, corners: np.ndarray, instance: int) -> None:
-        """Add four corners, counter-clockwise as seen from the side that the normal points to."""
+        """Add a quadrilateral; its corners are counter-clockwise as seen from the side of the normal."""
         self._quads.append(np.asarray(corners, np.float64))
         self._owner.append(instance)
 
@@ -31,7 +31,7 @@ class MeshBuilder:
             self.quad(corner[list(side)], instance)
 
     def build(self, turn: float = 0.0, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
-        """The mesh, turned counter-clockwise about the z axis, then shifted; texture coordinates span each quad."""
+        """Build the mesh, rotated counter-clockwise about z, then shifted; texture coordinates span each quad."""
         count = len(self._quads)
         cos, sin = np.cos(turn), np.sin(turn)
         rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -56,7 +56,7 @@ def tiny_room(
     floor_height: float = 0.0,
     wall: float = 0.1,
 ) -> Scene:
-    """A room with a table, a chair half under it, a bed and a lamp (of no category), about its own centre.
+    """Build a room, centred on the origin, with a table, a chair half under it, a bed and a lamp without category.
 
     Seen from above before `turn` (counter-clockwise, radians) and `shift`, x to the right: the table is at the upper
     left, the chair at its lower long side, the bed along the right wall, the lamp in the lower left corner.

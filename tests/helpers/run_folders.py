@@ -1,4 +1,4 @@
-"""Results folders made by hand: what an evaluation of small random maps would leave."""
+"""Hand-made results folders of an evaluation of small random maps."""
 
 from itertools import product
 from pathlib import Path
@@ -9,7 +9,7 @@ import yaml
 
 from imagination.evaluation import saved_maps, single_views
 from imagination.evaluation.saved_maps import SavedMaps
-from imagination.evaluation.single_views import CELLS, Singles, SingleView
+from imagination.evaluation.single_views import CELLS, SingleView, SingleViews
 from imagination.evaluation.trials import Trial
 from imagination.geometry.grid import Grid
 
@@ -39,24 +39,25 @@ def make_config(**changes: Any) -> dict[str, Any]:
     return {**config, **changes}
 
 
-def make_maps(run: Trial, rng: np.random.Generator) -> SavedMaps:
-    """Truth is a block; each approach scores it higher than the rest, some more than others."""
+def make_maps(trial: Trial, rng: np.random.Generator) -> SavedMaps:
+    """Return maps whose ground truth is a block that every approach scores higher than the rest."""
     shape = (len(CATEGORIES), 30, 40)
-    truth = np.zeros(shape, bool)
-    truth[:, 5:12, 6:16] = True
-    level = np.stack([rng.integers(0, 70, shape) + 10 * (at + 1) * truth for at in range(len(APPROACHES))])
+    gt = np.zeros(shape, bool)
+    gt[:, 5:12, 6:16] = True
+    level = np.stack([rng.integers(0, 70, shape) + 10 * (at + 1) * gt for at in range(len(APPROACHES))])
     level = np.where(rng.random(level.shape) < 0.6, 0, level).clip(0, 99)
     threshold = np.arange(30, 30 + len(APPROACHES) * len(CATEGORIES), dtype=np.uint8)
-    present = np.array([True, run.scene != SCENES[2]])
+    present = np.array([True, trial.scene != SCENES[2]])
     seen = np.ones(shape[1:], bool)
     return SavedMaps(
-        run, APPROACHES, CATEGORIES, level.astype(np.uint8), threshold.reshape(-1, len(CATEGORIES)),
-        truth & present[:, None, None], present, seen, truth.any(axis=0),
+        trial, APPROACHES, CATEGORIES, level.astype(np.uint8), threshold.reshape(-1, len(CATEGORIES)),
+        gt & present[:, None, None], present, seen, gt.any(axis=0),
         np.array([[0.5, 0.5, 0.3], [0.5, 0.5, 2.0], [2.0, 1.5, 1.0]]), Grid(0.1, 30, 40, (-1.0, -1.0)),
     )  # fmt: skip
 
 
-def make_singles(rng: np.random.Generator) -> Singles:
+def make_single_views(rng: np.random.Generator) -> SingleViews:
+    """Return single views with random images and falling counts."""
     label = np.zeros((21, 21), bool)
     label[4:9, 4:9] = True
     shown = [
@@ -68,12 +69,12 @@ def make_singles(rng: np.random.Generator) -> Singles:
         for rank in single_views.RANKS
     ]  # fmt: skip
     falling = np.stack([np.arange(99, 0, -1), 2 * np.arange(99, 0, -1), np.full(99, 150)], axis=-1)
-    tallies = {key: falling for key in product(APPROACHES, CATEGORIES)}
-    return Singles(shown, tallies, {key: falling for key in product(CELLS, CATEGORIES)}, 12, 0.1)
+    counts = {key: falling for key in product(APPROACHES, CATEGORIES)}
+    return SingleViews(shown, counts, {key: falling for key in product(CELLS, CATEGORIES)}, 12, 0.1)
 
 
 def make_folder(folder: Path, drawn: int = 0, **changes: Any) -> Path:
-    """Config, maps, the tables that follow from these by plain loops, and single views."""
+    """Write config, maps, tables counted by plain loops, and single views."""
     rng = np.random.default_rng(drawn)
     (folder / "tables").mkdir(parents=True)
     (folder / "config.yaml").write_text(yaml.safe_dump(make_config(**changes), sort_keys=False))
@@ -86,12 +87,12 @@ def make_folder(folder: Path, drawn: int = 0, **changes: Any) -> Path:
                 if not maps.present[layer]:
                     continue
                 predicted = maps.level[place, layer] >= maps.threshold[place, layer]
-                truth = maps.truth[layer]
-                correct, false = int((predicted & truth).sum()), int((predicted & ~truth).sum())
-                value = correct / (false + int(truth.sum()))
+                gt = maps.truth[layer]
+                correct, false = int((predicted & gt).sum()), int((predicted & ~gt).sum())
+                value = correct / (false + int(gt.sum()))
                 lines.append(
-                    f"{approach},{category},{width:g},{scene},{number},{value:.4f},{correct},{false},{int(truth.sum())}"
+                    f"{approach},{category},{width:g},{scene},{number},{value:.4f},{correct},{false},{int(gt.sum())}"
                 )
     (folder / "tables" / "trials.csv").write_text("\n".join(lines) + "\n")
-    single_views.write(folder, make_singles(rng))
+    single_views.write(folder, make_single_views(rng))
     return folder

@@ -1,4 +1,4 @@
-"""Tiny scanned buildings, written in each data set's exact layout."""
+"""Writers of tiny scanned buildings in the layout of each data set."""
 
 import io
 import json
@@ -11,20 +11,19 @@ from imagination.scenes.scene import Scene
 from tests.helpers.rooms import tiny_room
 
 COLOURS = np.array([[200, 200, 190], [150, 100, 50], [50, 75, 180], [180, 50, 75], [230, 230, 100]], np.uint8)
-"""Of the building and its four objects."""
-
+"""Colours of the building and its four objects."""
 
 SEGMENT = 1_000_003
-"""Ids of Matterport3D's segments begin here."""
+"""First segment id of Matterport3D."""
 
 
 def tiny_building(floors: int = 1) -> list[Scene]:
-    """One tiny room on each floor, 3 m apart, turned and away from the origin; ids count on from floor to floor."""
+    """Return one tiny room per floor, 3 m apart, rotated and away from the origin."""
     return [tiny_room(turn=0.4, shift=(2.0, -1.0), floor_height=0.6 + 3.0 * floor) for floor in range(floors)]
 
 
 def soup(rooms: Sequence[Scene]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """All rooms' vertices (own ones for each quadrilateral), quadrilaterals, object of each (-1: none), colours."""
+    """Return vertices (separate for each quadrilateral), quadrilaterals, their objects (or -1) and colours of rooms."""
     vertices, quads, owners = [], [], []
     start = 0
     for floor, room in enumerate(rooms):
@@ -42,7 +41,7 @@ def soup(rooms: Sequence[Scene]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np
 def ply(
     path: Path, vertices: np.ndarray, polygons: np.ndarray, rgb: np.ndarray, extra: dict[str, np.ndarray]
 ) -> None:
-    """A binary PLY file with coloured vertices and further integers for each face."""
+    """Write a binary PLY file with coloured vertices and extra integer columns of the faces."""
     from plyfile import PlyData, PlyElement
 
     vertex = np.zeros(
@@ -62,27 +61,27 @@ def ply(
     PlyData(elements, byte_order="<").write(path)
 
 
-def halves(quads: np.ndarray) -> np.ndarray:
-    """Two triangles for each quadrilateral."""
+def split_quads(quads: np.ndarray) -> np.ndarray:
+    """Return two triangles for each quadrilateral."""
     return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
 
 
 def write_matterport(folder: Path, name: str = "17DRP5sb8fy", floors: int = 1, habitat: bool = False) -> Path:
-    """A building as the release, or Habitat, has it; returns its .house file.
+    """Write a building as in the release or for Habitat, and return its .house file.
 
-    Of the release's columns only the segment leads to the object: through a record E, whose place is not its id.
+    In the release only the segment column refers to the object, by a record E whose position is not its id.
     """
     rooms = tiny_building(floors)
     vertices, quads, owner, colour = soup(rooms)
-    inside = folder / name if habitat else folder / name / "house_segmentations"
-    faces, face_owner = halves(quads), np.repeat(owner, 2)
+    target = folder / name if habitat else folder / name / "house_segmentations"
+    faces, face_owner = split_quads(quads), np.repeat(owner, 2)
     rgb = np.repeat(colour, 4, axis=0)
     extra = {"objectid": face_owner} if habitat else {
         "material_id": np.where(face_owner >= 0, SEGMENT + 7 * face_owner, -1),
         "segment_id": np.where(face_owner >= 0, face_owner ^ 1, -1),
         "category_id": np.maximum(face_owner, 0),
     }  # fmt: skip
-    ply(inside / (f"{name}_semantic.ply" if habitat else f"{name}.ply"), vertices, faces, rgb, extra)
+    ply(target / (f"{name}_semantic.ply" if habitat else f"{name}.ply"), vertices, faces, rgb, extra)
     objects = [obj for room in rooms for obj in room.objects]
     labels = sorted({obj.label for obj in objects})
     lines = ["ASCII 1.1"]
@@ -105,74 +104,72 @@ def write_matterport(folder: Path, name: str = "17DRP5sb8fy", floors: int = 1, h
         lines.append(
             f"E {len(objects) - 1 - number} {number} {SEGMENT + 7 * number} 1 0 0 0 0 0 0 9 9 9 0 0 0 0 0"
         )
-    house = inside / f"{name}.house"
+    house = target / f"{name}.house"
     house.write_text("\n".join(lines) + "\n")
     return house
 
 
 def write_replica(folder: Path, name: str = "room_0") -> Path:
-    """A scene as Replica's export for Habitat has it; returns its info_semantic.json."""
+    """Write a scene of Replica for Habitat, and return its info_semantic.json."""
     rooms = tiny_building()
     vertices, quads, owner, colour = soup(rooms)
-    inside = folder / name / "habitat"
-    ply(inside / "mesh_semantic.ply", vertices, quads, np.repeat(colour, 4, axis=0), {"object_id": owner})
+    target = folder / name / "habitat"
+    ply(target / "mesh_semantic.ply", vertices, quads, np.repeat(colour, 4, axis=0), {"object_id": owner})
     objects = []
     for number, obj in enumerate(rooms[0].objects):
-        turn = [0.0, 0.0, float(np.sin(obj.box.yaw / 2)), float(np.cos(obj.box.yaw / 2))]
+        rotation = [0.0, 0.0, float(np.sin(obj.box.yaw / 2)), float(np.cos(obj.box.yaw / 2))]
         box = {
             "abb": {"center": [0.0, 0.0, 0.0], "sizes": list(obj.box.size)},
-            "orientation": {"rotation": turn, "translation": list(obj.box.centre)},
+            "orientation": {"rotation": rotation, "translation": list(obj.box.centre)},
         }
         objects.append({"id": number, "class_id": 1, "class_name": obj.label, "oriented_bbox": box})
-    path = inside / "info_semantic.json"
+    path = target / "info_semantic.json"
     path.write_text(json.dumps({"id_to_label": [], "objects": objects}))
     return path
 
 
 def write_hm3d(folder: Path, name: str = "abcdefghijk", split: str = "train") -> Path:
-    """A scene as HM3D's semantic annotations have it; returns its .semantic.txt."""
+    """Write a scene with the semantic annotations of HM3D, and return its .semantic.txt."""
     import trimesh
     from PIL import Image
 
     rooms = tiny_building()
     vertices, quads, owner, colour = soup(rooms)
-    inside = folder / split / f"00001-{name}"
-    inside.mkdir(parents=True, exist_ok=True)
+    target = folder / split / f"00001-{name}"
+    target.mkdir(parents=True, exist_ok=True)
     codes = np.array([0x000000, 0xC7D5C5, 0x1A2B3C, 0x4D5E6F, 0x102030])
-    paint = np.stack([codes >> 16 & 255, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
-    for file, colours in ((f"{name}.semantic.glb", paint), (f"{name}.glb", COLOURS)):
-        image = np.repeat(
-            np.repeat(colours[None], 8, axis=0), 8, axis=1
-        )  # five stripes, their row below the middle
+    semantic_colours = np.stack([codes >> 16 & 255, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
+    for file, colours in ((f"{name}.semantic.glb", semantic_colours), (f"{name}.glb", COLOURS)):
+        image = np.repeat(np.repeat(colours[None], 8, axis=0), 8, axis=1)  # five stripes in the lower half
         image = np.concatenate([image[:, ::-1], image])
         u = (owner + 1.5) / len(colours)
         uv = np.repeat(np.stack([u, np.full(len(u), 0.25)], axis=-1), 4, axis=0)
         material = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.fromarray(image))
         visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
-        mesh = trimesh.Trimesh(vertices, halves(quads), visual=visual, process=False)
+        mesh = trimesh.Trimesh(vertices, split_quads(quads), visual=visual, process=False)
         data = io.BytesIO(trimesh.Scene([mesh]).export(file_type="glb"))
-        (inside / file).write_bytes(data.getvalue())
+        (target / file).write_bytes(data.getvalue())
     lines = ["HM3D Semantic Annotations"]
     for number, obj in enumerate(rooms[0].objects, start=1):
         lines.append(f'{number},{codes[number]:06X},"{obj.label}",0')
-    path = inside / f"{name}.semantic.txt"
+    path = target / f"{name}.semantic.txt"
     path.write_text("\n".join(lines) + "\n")
     return path
 
 
 def write_scannet(folder: Path, name: str = "scene0000_00") -> Path:
-    """A scan as ScanNet v2 has it, with its list of training scans; returns its folder."""
+    """Write a scan of ScanNet v2 and the list of training scans, and return the folder of the scan."""
     rooms = tiny_building()
     vertices, quads, owner, colour = soup(rooms)
-    inside = folder / "scans" / name
-    ply(inside / f"{name}_vh_clean_2.ply", vertices, halves(quads), np.repeat(colour, 4, axis=0), {})
+    target = folder / "scans" / name
+    ply(target / f"{name}_vh_clean_2.ply", vertices, split_quads(quads), np.repeat(colour, 4, axis=0), {})
     segments = np.repeat(owner + 1, 4).tolist()
-    (inside / f"{name}_vh_clean_2.0.010000.segs.json").write_text(json.dumps({"segIndices": segments}))
+    (target / f"{name}_vh_clean_2.0.010000.segs.json").write_text(json.dumps({"segIndices": segments}))
     groups = [
         {"id": number, "objectId": number, "label": obj.label, "segments": [number + 1]}
         for number, obj in enumerate(rooms[0].objects)
     ]
-    (inside / f"{name}.aggregation.json").write_text(json.dumps({"sceneId": name, "segGroups": groups}))
-    (inside / f"{name}.txt").write_text("axisAlignment = " + " ".join(map(str, np.eye(4).ravel())) + "\n")
+    (target / f"{name}.aggregation.json").write_text(json.dumps({"sceneId": name, "segGroups": groups}))
+    (target / f"{name}.txt").write_text("axisAlignment = " + " ".join(map(str, np.eye(4).ravel())) + "\n")
     (folder / "scannetv2_train.txt").write_text(f"{name}\n")
-    return inside
+    return target

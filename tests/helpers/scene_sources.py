@@ -1,4 +1,4 @@
-"""One tiny source of each kind, for the contract test: what it is called and how it is made in an empty folder."""
+"""One tiny scene source of each kind, for the contract test: its name and its factory for an empty folder."""
 
 import sys
 from collections.abc import Callable
@@ -15,22 +15,22 @@ from tests.conftest import ROOT
 from tests.helpers import scanned_buildings as buildings
 from tests.helpers import sweet_home
 
-activate()  # plugins of this checkout can be imported
+activate()  # makes the plugins of this checkout importable
 
 
 def configured(folder: Path, *overrides: str) -> DictConfig:
-    """The render command's config at scale=test, its cache in a folder."""
+    """Compose the configuration of the render command at scale=test with its cache in `folder`."""
     return compose("render", ["scale=test", f"paths.cache={folder}/cache", *overrides])
 
 
 def source(folder: Path, *overrides: str) -> SceneSource:
-    """The scene source that these overrides make."""
+    """Instantiate the scene source of the overrides."""
     try:
-        made: SceneSource = instantiate(configured(folder, *overrides).data.scenes)
+        instance: SceneSource = instantiate(configured(folder, *overrides).data.scenes)
     except InstantiationException as error:
         assert error.__cause__ is not None
         raise error.__cause__ from error
-    return made
+    return instance
 
 
 def _procedural(folder: Path) -> SceneSource:
@@ -44,7 +44,7 @@ def _furniture(folder: Path) -> SceneSource:
 
 def _homes(folder: Path) -> SceneSource:
     sweet_home.write_catalogue(folder / "assets" / "Test.sh3f")
-    sweet_home.write_scene(folder / "homes" / "flat.sh3d")
+    sweet_home.write_home(folder / "homes" / "flat.sh3d")
     return source(
         folder,
         "data/scenes=sweethome3d",
@@ -55,8 +55,8 @@ def _homes(folder: Path) -> SceneSource:
 
 def _scans(name: str, write: Callable[[Path], Path]) -> Callable[[Path], SceneSource]:
     def make(folder: Path) -> SceneSource:
-        write(folder / "scans_of_it")
-        return source(folder, f"data/scenes={name}", f"data.scenes.folder={folder}/scans_of_it")
+        write(folder / "scans")
+        return source(folder, f"data/scenes={name}", f"data.scenes.folder={folder}/scans")
 
     return make
 
@@ -66,7 +66,7 @@ def _habitat(folder: Path) -> SceneSource:
 
 
 def _box_rooms(folder: Path) -> SceneSource:
-    """The example plugin's, which the docs show."""
+    """Create the source of the example plugin in the documentation."""
     sys.path.append(str(ROOT / "tests" / "helpers" / "example_plugin"))
     from imagination_example.rooms import BoxRooms
 
@@ -85,4 +85,4 @@ SOURCES: dict[str, Callable[[Path], SceneSource]] = {
     "box_rooms": _box_rooms,
 }
 NEEDS = {"scannet": "scenezoo"}
-"""Libraries too large for the tests' environment; sources without them are skipped."""
+"""Optional libraries of sources; sources without them are skipped."""

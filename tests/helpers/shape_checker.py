@@ -1,4 +1,4 @@
-"""The checker of shapes and types that the tests switch on: beartype, to which an int is also a float (PEP 484)."""
+"""Runtime checker of shapes and types in the tests: beartype with int accepted as float (PEP 484)."""
 
 from beartype import BeartypeConf, beartype
 

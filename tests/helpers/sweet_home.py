@@ -1,4 +1,4 @@
-"""Tiny furniture archives and homes in Sweet Home 3D's layouts, for tests."""
+"""Writers of tiny furniture archives and homes of Sweet Home 3D."""
 
 import zipfile
 from collections.abc import Iterable, Mapping
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 Box = tuple[float, float, float, float, float, float]
-"""x0, y0, z0, x1, y1, z1 in the catalogue's frame: x to the right, y up, z to the front; centimetres."""
+"""x0, y0, z0, x1, y1, z1 in the frame of the catalogue: x to the right, y up, z to the front; centimetres."""
 
 CHAIR: tuple[Box, ...] = (
     (0, 40, 0, 45, 45, 45),
@@ -28,7 +28,7 @@ BED: tuple[Box, ...] = ((0, 0, 0, 150, 45, 200), (0, 45, 0, 150, 95, 6))
 
 
 def obj(boxes: Iterable[Box], material: str = "plain") -> str:
-    """Boxes as OBJ, mixed of quadrilaterals and triangles, with texture coordinates that tile."""
+    """Return boxes as OBJ with quadrilaterals and triangles and repeating texture coordinates."""
     lines = ["mtllib model.mtl", f"usemtl {material}", "vt 0 0", "vt 2 0", "vt 2 2", "vt 0 2"]
     for number, (x0, y0, z0, x1, y1, z1) in enumerate(boxes):
         corners = [(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)]
@@ -44,7 +44,7 @@ MATERIALS = "newmtl plain\nKd 0.6 0.4 0.2\nnewmtl glass\nKd 0.5 0.7 0.9\nd 0.3\n
 
 
 def entry(number: int, id: str, name: str, boxes: Iterable[Box], **changes: str) -> dict[str, str]:
-    """Lines of a catalogue for one entry whose size is its boxes'."""
+    """Return the properties of a catalogue entry with the size of the boxes."""
     corners = np.array(list(boxes))
     size = corners[:, 3:].max(axis=0) - corners[:, :3].min(axis=0)
     values = {
@@ -61,13 +61,13 @@ def entry(number: int, id: str, name: str, boxes: Iterable[Box], **changes: str)
     return {f"{key}#{number}": value for key, value in (values | changes).items()}
 
 
-def grown(boxes: Iterable[Box], share: float) -> tuple[Box, ...]:
-    """The same boxes at another scale."""
-    return tuple(tuple((np.array(box) * share).tolist()) for box in boxes)  # type: ignore[misc]
+def scaled(boxes: Iterable[Box], factor: float) -> tuple[Box, ...]:
+    """Scale boxes by a factor."""
+    return tuple(tuple((np.array(box) * factor).tolist()) for box in boxes)  # type: ignore[misc]
 
 
 def write_archive(path: Path, members: Mapping[str, str | bytes]) -> Path:
-    """A zip file."""
+    """Write a zip file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         for name, content in members.items():
@@ -76,16 +76,16 @@ def write_archive(path: Path, members: Mapping[str, str | bytes]) -> Path:
 
 
 def write_catalogue(path: Path) -> Path:
-    """An archive with four chairs, tables and beds each, in three sizes that differ."""
+    """Write an archive of four chairs, tables and beds each, of different sizes."""
     properties: dict[str, str] = {}
     members: dict[str, str | bytes] = {"LICENSE.TXT": "http://creativecommons.org/licenses/by/3.0/"}
     shapes = {"Chair": CHAIR, "Table": TABLE, "Bed": BED}
     number = 0
     for name, boxes in shapes.items():
-        for share in (0.95, 1.0, 1.06, 1.12):
+        for factor in (0.95, 1.0, 1.06, 1.12):
             number += 1
             id = f"Test#{name.lower()}{number}"
-            properties |= entry(number, id, name, grown(boxes, share))
+            properties |= entry(number, id, name, scaled(boxes, factor))
             members[f"models/{name.lower()}{number}/model.obj"] = obj(boxes)
             members[f"models/{name.lower()}{number}/model.mtl"] = MATERIALS
     members["PluginFurnitureCatalog.properties"] = "\n".join(
@@ -97,7 +97,7 @@ def write_catalogue(path: Path) -> Path:
 
 
 def piece(id: str, name: str, x: float, y: float, size: tuple[float, float, float], **more: str) -> str:
-    """A piece of furniture of a home; centimetres on the plan, y down."""
+    """Return a piece of furniture of a home, in centimetres on the plan with y down."""
     width, depth, height = size
     attributes = {
         "catalogId": id,
@@ -113,7 +113,7 @@ def piece(id: str, name: str, x: float, y: float, size: tuple[float, float, floa
 
 
 def walls(x0: float, y0: float, x1: float, y1: float, level: str = "") -> str:
-    """Four walls around a rectangle, and its room."""
+    """Return four walls around a rectangle, and its room."""
     where = f'level="{level}"' if level else ""
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     lines = [
@@ -129,7 +129,7 @@ def home_xml(inside: str) -> str:
 
 
 def furnished(level: str = "") -> str:
-    """A room of 5 m by 4 m with a door, a window, a chair, a table and a bed."""
+    """Return a room of 5 m by 4 m with a door, a window, a chair, a table and a bed."""
     where = {"level": level} if level else {}
     door = f'<doorOrWindow {"".join(f"{k}={v!r} " for k, v in where.items())}name="Door" x="250" y="0" width="90" '
     window = door.replace('x="250" y="0"', 'x="0" y="200" angle="1.5707964" elevation="90"')
@@ -144,7 +144,7 @@ def furnished(level: str = "") -> str:
 
 
 def write_home(path: Path, inside: str | None = None, extra: Mapping[str, str] | None = None) -> Path:
-    """A home with the models of its chair and bed, and further members."""
+    """Write a home with the models of its chair and bed, and extra members."""
     content = furnished() if inside is None else inside
     members: dict[str, str | bytes] = {
         "Home.xml": home_xml(content),

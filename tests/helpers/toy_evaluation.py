@@ -1,4 +1,4 @@
-"""A small evaluation without a network: hand-made rooms, and predictors that know the truth."""
+"""Small evaluation without a network: hand-made rooms and a predictor that returns the ground truth."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ NAMES = ("chair", "bed", "table", "sofa")
 
 @dataclass(frozen=True)
 class Perfect:
-    """Predicts the crop of the truth, and the true segmentation without its right half."""
+    """Predictor of the ground-truth crop, and of the ground-truth segmentation without its right half."""
 
     layers: list[int]
     gives: frozenset[str] = frozenset({"maps", "images"})
@@ -46,10 +46,10 @@ class Perfect:
         return {"maps": views["object"][:, self.layers].astype(np.float32), "images": images}
 
 
-def make_subject(
+def make_model(
     folder: Path, categories: tuple[str, ...] = ("chair", "bed"), count: int = 2, workers: int = 0
 ) -> ModelUnderTest:
-    """Rooms at 0.1 m with a perfect predictor; no room holds a sofa."""
+    """Return rooms at 0.1 m with a perfect predictor; no room contains a sofa."""
     camera = Camera(48, 48, np.pi / 2, 1.25)
     observer = Observer(
         Rooms(count),
@@ -67,7 +67,7 @@ def make_subject(
 
 
 def make_protocol(**changes: object) -> MappingProtocol:
-    """All approaches, at two cell widths, two viewpoint sets each."""
+    """Return a protocol of all approaches at two cell widths with two viewpoint sets each."""
     average = MovingAverage(0.9)
     approaches = {
         "seg_gt": Approach(ProjectedSegmentation(0.0, 2.6, np.inf), Max(), "close", (0.0, 0.3)),
@@ -75,7 +75,6 @@ def make_protocol(**changes: object) -> MappingProtocol:
         "imagination_seen": Approach(SeenPrediction(), average),
         "seen_dilated": Approach(SeenPrediction(), average, "dilate", (0.0, 0.3)),
         "imagination": Approach(ValidPrediction(0.5, 0.6), average),
-        "imagination_dilated": Approach(ValidPrediction(0.5, 0.6), average, "dilate", (0.0, 0.3)),
         "oracle": Approach(ImaginableArea(1.0), Max(), "ground_truth"),
     }
     settings = {

@@ -1,4 +1,4 @@
-"""Modules that stand for trained units: what they answer depends on all that they are given, and on where it lies."""
+"""Stand-ins for trained units, whose predictions depend on every input and its position; and test viewers."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ EGO = EgoGrid(0.12, 31)
 
 
 class Toy:
-    """Smeared occupancy, coloured by the image's columns; one map for each category."""
+    """Predictor of blurred occupancy, weighted by the image columns; one map per category."""
 
     def __init__(self, *categories: str, camera: Camera = CAMERA, ego: EgoGrid = EGO) -> None:
         names = categories or ("chair",)
@@ -27,14 +27,14 @@ class Toy:
 
     def __call__(self, observation: Observation) -> np.ndarray:
         cells = self.spec.ego.cells
-        smeared = cv2.blur(observation.occupied.astype(np.float32), (3, 5)) * 2
+        blurred = cv2.blur(observation.occupied.astype(np.float32), (3, 5)) * 2
         shade = cv2.resize(observation.rgb[..., 0].mean(axis=0)[None] / 255, (cells, 1))
-        base = np.clip(smeared * (0.5 + shade) + 0.1 * observation.seen, 0, 1).astype(np.float32)
+        base = np.clip(blurred * (0.5 + shade) + 0.1 * observation.seen, 0, 1).astype(np.float32)
         return np.stack([base ** (number + 1) for number in range(len(self.spec.categories))])
 
 
 class Marker(NoViewer):
-    """A viewer that leaves a file once a frame was shown."""
+    """Viewer that writes a file when a frame is shown."""
 
     def open(self, folder: Path, mapper: SemanticMapper) -> None:
         self.file = folder / "shown"
@@ -44,7 +44,7 @@ class Marker(NoViewer):
 
 
 class Blocking(NoViewer):
-    """A viewer beside which no map can be saved; leaves a file when it is closed."""
+    """Viewer that blocks the map's file name, and writes a file when it is closed."""
 
     def open(self, folder: Path, mapper: SemanticMapper) -> None:
         self.folder = folder
@@ -55,7 +55,7 @@ class Blocking(NoViewer):
 
 
 class Failing(NoViewer):
-    """A viewer that breaks at the third frame."""
+    """Viewer that raises at the third frame."""
 
     shown = 0
 

@@ -1,4 +1,4 @@
-"""Maps that grow, and maps of fixed size that a robot leaves."""
+"""Extension of maps, and cells outside maps of fixed size."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def poses(count: int) -> list[Pose]:
     return [Pose(*rng.uniform(-12, 12, 2).tolist(), rng.uniform(-3, 3)) for _ in range(count)]
 
 
-def test_a_grown_map_is_the_large_one() -> None:
+def test_an_extended_map_equals_a_large_one() -> None:
     rng = np.random.default_rng(0)
     side = CHUNK * 0.1
     small = Mapper(Grid(0.1, CHUNK, CHUNK, (0.0, 0.0)), EGO, ["chair", "bed"], MovingAverage(0.9))
@@ -40,20 +40,18 @@ def test_a_grown_map_is_the_large_one() -> None:
     assert (small.written == large.written[window]).all()
 
 
-def test_growing_beyond_memory_is_refused_and_changes_nothing() -> None:
+def test_extension_beyond_memory_is_refused_and_changes_nothing() -> None:
     mapper = Mapper(Grid(0.1, CHUNK, CHUNK, (0.0, 0.0)), EGO, ["chair"], MovingAverage(0.9))
-    with pytest.raises(
-        UserError, match="expected at most 20001 a side"
-    ):  # which could be saved and not be loaded
+    with pytest.raises(UserError, match="map: got .* cells, expected at most 20001"):  # could not be loaded
         mapper.cover(Pose(2000.0, 0.0, 0.0))
-    with pytest.raises(UserError, match="GB, expected at most this machine's"):
+    with pytest.raises(UserError, match="map of 40 x 20001 x 20001 cells: got .* GB"):
         Mapper(Grid(0.1, 20_001, 20_001, (0.0, 0.0)), EGO, [f"c{n}" for n in range(40)], MovingAverage(0.9))
     with pytest.raises(UserError, match="pose: got"):
         mapper.cover(Pose(float("nan"), 0.0, 0.0))
     assert mapper.grid.shape == mapper.probabilities.shape[1:] == (CHUNK, CHUNK)
 
 
-def test_what_lies_outside_is_counted() -> None:
+def test_cells_outside_the_map_are_counted() -> None:
     grid = Grid(0.1, 40, 60, (-3.0, -2.0))
     mapper = Mapper(grid, EGO, ["chair", "bed"], MovingAverage(0.9))
     rng = np.random.default_rng(2)

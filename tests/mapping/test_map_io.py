@@ -1,4 +1,4 @@
-"""Map files, parsed by an independent reader: PyYAML and Pillow after nav2's rules (nav2_map_server, map_io.cpp)."""
+"""Map files, checked with an independent reader: PyYAML and Pillow with nav2's rules (nav2_map_server, map_io.cpp)."""
 
 import json
 import struct
@@ -149,7 +149,7 @@ def test_white_is_what_the_image_says(tmp_path: Path, image: bytes, layer: list[
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"image": "none.pgm"}, "none.pgm: cannot be read"),
         ({"image": "no\0ne.pgm"}, "cannot be read .embedded null byte"),
@@ -157,18 +157,18 @@ def test_white_is_what_the_image_says(tmp_path: Path, image: bytes, layer: list[
         ({"resolution": -0.1}, "resolution: got -0.1"),
         ({"resolution": "wide"}, "cannot be read"),
         ({"free_thresh": 0.9}, "got free_thresh 0.9 and occupied_thresh 0.65"),
-        ({"origin": [0.0, 0.0, 0.3]}, "no rotation"),
+        ({"origin": [0.0, 0.0, 0.3]}, "origin .*0.3"),
         ({"origin": [0.0, 0.0]}, "cannot be read"),
-        ({"origin": [0.0, float("nan"), 0.0]}, "expected finite metres"),
+        ({"origin": [0.0, float("nan"), 0.0]}, "origin .*nan"),
         ({"negate": None}, "cannot be read"),
         ({"negate": float("inf")}, "cannot be read"),
     ],
 )
-def test_broken_maps_are_refused(tmp_path: Path, change: dict[str, object], told: str) -> None:
+def test_broken_maps_are_refused(tmp_path: Path, change: dict[str, object], message: str) -> None:
     map_io.save_maps(tmp_path, some_maps(), [(200, 0, 0), (0, 0, 200)])
     path = tmp_path / "map.yaml"
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | change))
-    with pytest.raises(UserError, match=told.replace("(", r"\(")):
+    with pytest.raises(UserError, match=message.replace("(", r"\(")):
         map_io.load_layer(path)
 
 
@@ -199,9 +199,7 @@ def test_broken_files_are_refused(tmp_path: Path) -> None:
         map_io.load_layer(tmp_path / "nothing.yaml")
     for image in (b"P5\n60 40\n255\n", b"", b"nothing"):
         (tmp_path / "map.pgm").write_bytes(image)
-        with pytest.raises(
-            UserError, match=f"map.pgm: {len(image)} bytes that are no image; save the map again"
-        ):
+        with pytest.raises(UserError, match=f"map.pgm: got {len(image)} bytes"):
             map_io.load_layer(tmp_path / "map.yaml")
     (tmp_path / "map.yaml").write_text("[1, 2")
     with pytest.raises(UserError, match="cannot be read"):
@@ -221,7 +219,7 @@ def test_broken_files_are_refused(tmp_path: Path) -> None:
         map_io.load_maps(tmp_path)
     for text in (json.dumps({"features": [{}]}), "[" * 100_000):
         (tmp_path / "objects.geojson").write_text(text)
-        with pytest.raises(UserError, match="no GeoJSON of objects"):
+        with pytest.raises(UserError, match="objects.geojson: .*GeoJSON"):
             map_io.load_objects(tmp_path / "objects.geojson")
 
 
@@ -233,7 +231,7 @@ def test_a_map_of_another_resolution_keeps_its_walls(resolution: float) -> None:
     layer[:, 33] = 100
     side = round(5 / resolution)
     grid = Grid(resolution, side, side, (-2.0, 1.5))
-    got = map_io.fit(LoadedLayer(GRID, layer), grid)
+    got = map_io.resample_layer(LoadedLayer(GRID, layer), grid)
     x, y = grid.to_points(np.argwhere(got == 100)).T
     wall_y, wall_x = 2.5 + (40 - 10 - 0.5) * 0.05, -1.25 + (33 + 0.5) * 0.05
     reach = 0.5 * (0.05 + resolution) + 1e-9

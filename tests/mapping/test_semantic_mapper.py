@@ -1,8 +1,10 @@
-"""The semantic mapper: what it makes of frames, and what it refuses."""
+"""SemanticMapper: maps of rendered frames, and refused input."""
 
+import re
 import warnings
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 
 import jaxtyping
 import numpy as np
@@ -13,11 +15,12 @@ from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
 from imagination.geometry.projection import project_depth
 from imagination.geometry.rgbd import Intrinsics, RgbdCamera
-from imagination.map import run
+from imagination.map import map_frames
+from imagination.mapping import semantic_mapper
 from imagination.mapping.map_io import LoadedLayer
 from imagination.mapping.mapper import Mapper
 from imagination.mapping.predictor import Observation, UnitEnsemble, UnitSpec, valid_imagination
-from imagination.mapping.semantic_mapper import Limits, SemanticMapper, around
+from imagination.mapping.semantic_mapper import SemanticMapper, near_obstacles
 from imagination.mapping.update_rules import MovingAverage
 from imagination.recordings.recording import Frames, Images, Shot
 from imagination.scenes.renderer import Renderer
@@ -36,18 +39,18 @@ def frames(camera: Camera = CAMERA, poses: list[Pose] = POSES) -> list[tuple[np.
     return [(image.rgb, image.depth, pose) for image, pose in zip(images, poses, strict=True)]
 
 
-def test_it_registers_what_the_units_say_as_the_evaluation_does() -> None:
-    """The same views through the parts that the evaluation uses, one by one."""
+def test_evidence_is_registered_as_in_the_evaluation() -> None:
+    """The same views through the functions that the evaluation uses, one by one."""
     toy, grid = Toy("chair", "bed"), Grid.centred(9.0, 0.12)
     mapper = SemanticMapper(toy, grid=grid)
     plain = Mapper(grid, EGO, ["chair", "bed"], MovingAverage(0.9))
     for rgb, depth, pose in frames():
         update = mapper.update(rgb, depth, pose)
         view = project_depth(depth, CAMERA, EGO, toy.spec.obstacles)
-        said = toy(Observation(rgb, depth, view.occupied, view.seen, CAMERA.mount_height))
-        statement = valid_imagination(said, view.seen[None], 0.5, 0.62, 0.12)
-        plain.register(statement.values, statement.mask, pose, statement.imagined)
-        np.testing.assert_array_equal(update.probabilities, said)
+        prediction = toy(Observation(rgb, depth, view.occupied, view.seen, CAMERA.mount_height))
+        evidence = valid_imagination(prediction, view.seen[None], 0.5, 0.62, 0.12)
+        plain.register(evidence.values, evidence.mask, pose, evidence.imagined)
+        np.testing.assert_array_equal(update.probabilities, prediction)
         assert update.outside == 0
     maps = mapper.maps
     np.testing.assert_array_equal(maps.written, plain.written)
@@ -92,13 +95,13 @@ def test_another_floor_height_changes_nothing() -> None:
 def test_a_tilted_camera_gives_nearly_the_same_map() -> None:
     tilted = Camera.from_degrees(120, 120, 105.0, 1.4, pitch=12.0)
     mapper, plain = SemanticMapper(Toy(), RgbdCamera.of(tilted)), SemanticMapper(Toy())
-    with pytest.warns(UserWarning) as told:
+    with pytest.warns(UserWarning) as caught:
         for frame in frames(tilted):
             mapper.update(*frame)
-    texts = " ".join(str(each.message) for each in told)
-    assert "mount_height: the robot's camera is at 1.40 m, the units' at 1.25" in texts
-    assert "pitch: the robot's camera is at 12.00 degrees, the units' at 0.00" in texts
-    assert len(told) == 2  # once, not for every frame
+    texts = " ".join(str(each.message) for each in caught)
+    assert re.search(r"mount_height: .*1\.40 m.* 1\.25", texts)
+    assert re.search(r"pitch: .*12\.00 degrees.* 0\.00", texts)
+    assert len(caught) == 2  # once, not for every frame
     for frame in frames():
         plain.update(*frame)
     one, other = mapper.maps.occupancy_layer() == 0, plain.maps.occupancy_layer() == 0
@@ -133,59 +136,57 @@ def test_it_starts_from_another_robots_map() -> None:
     assert (mapper.maps.occupancy_layer() == 0).sum() > before + 100
 
 
-def test_what_a_map_of_fixed_size_cannot_start_from_is_told() -> None:
+def test_known_cells_outside_a_map_of_fixed_size_are_warned_of() -> None:
     layer = np.zeros((60, 60), np.int8)
     layer[:10] = -1
     start = LoadedLayer(Grid(0.12, 60, 60, (0.0, 0.0)), layer)
-    with pytest.warns(
-        UserWarning, match="start: 1500 of its 3000 known cells lie outside the map of fixed size"
-    ):
+    with pytest.warns(UserWarning, match="start: 1500 of .*3000"):
         SemanticMapper(Toy(), start=start, grid=Grid(0.12, 60, 30, (0.0, 0.0)))
 
 
-def test_cameras_too_far_from_the_units_are_refused() -> None:
+def test_cameras_that_differ_too_much_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     narrow = RgbdCamera.of(Camera.from_degrees(48, 48, 35.0, 1.25))
-    with pytest.raises(
-        UserError, match=r"robot's colour camera has 35.0 degrees, the units' 90.0; expected at most 40"
-    ):
+    with pytest.raises(UserError, match=r"horizontal field of view: .*35\.0 .*90\.0.*at most 40"):
         SemanticMapper(Toy(), narrow)
-    with pytest.warns(UserWarning, match="what only one of them sees is left out"):
-        SemanticMapper(Toy(), narrow, limits=Limits(field_of_view=60.0, vertical_field_of_view=60.0))
-    with pytest.warns(UserWarning, match="the image is magnified"):
+    with monkeypatch.context() as patch, pytest.warns(UserWarning, match=r"field of view: .*35\.0 .*90\.0"):
+        wider = replace(semantic_mapper.MAX_DIFFERENCE, field_of_view=60.0, vertical_field_of_view=60.0)
+        patch.setattr(semantic_mapper, "MAX_DIFFERENCE", wider)
+        SemanticMapper(Toy(), narrow)
+    with pytest.warns(UserWarning, match=r"resolution: .*0\.21 .*0\.42"):
         SemanticMapper(Toy(), RgbdCamera.of(Camera.from_degrees(24, 24, 90.0, 1.25)))
     rgb, depth, pose = frames()[0]
     mapper = SemanticMapper(Toy())
-    for camera, told in (
-        (Camera.from_degrees(48, 48, 90.0, 2.5), "mount_height: the robot's camera is at 2.50 m"),
+    for camera, message in (
+        (Camera.from_degrees(48, 48, 90.0, 2.5), r"mount_height: .*2\.50 m"),
         (
             Camera.from_degrees(48, 48, 90.0, 1.25, pitch=60.0),
-            "pitch: the robot's camera is at 60.00 degrees",
+            r"pitch: .*60\.00 degrees",
         ),
         (
             Camera.from_degrees(48, 48, 90.0, 1.25, roll=-90.0),
-            "roll: the robot's camera is at -90.00 degrees",
+            r"roll: .*-90\.00 degrees",
         ),
     ):
-        with pytest.raises(UserError, match=told):
+        with pytest.raises(UserError, match=message):
             mapper.update(rgb, depth, camera.to_world(pose))
 
 
 def test_bad_frames_leave_the_map_as_it_was() -> None:
     mapper = SemanticMapper(Toy())
-    with pytest.raises(UserError, match="got no frame yet"):
+    with pytest.raises(UserError, match="map: got no frame"):
         _ = mapper.maps
     rgb, depth, pose = frames()[0]
     mapper.update(rgb, depth, pose)
     before = mapper.maps.probabilities.copy()
     holes = depth.copy()
     holes[3, 4] = np.nan
-    for bad, told in (
+    for bad, message in (
         ((rgb, holes, pose), "depth: got nan"),
         ((rgb[:40], depth, pose), "rgb: got 48 x 40 pixels"),
-        ((rgb, depth, Pose(np.inf, 0.0, 0.0)), "expected 4 x 4 finite"),
-        ((rgb, depth, Pose(1e7, 0.0, 0.0)), "choose a coarser resolution"),
+        ((rgb, depth, Pose(np.inf, 0.0, 0.0)), "got .*inf"),
+        ((rgb, depth, Pose(1e7, 0.0, 0.0)), "map: got .* cells"),
     ):
-        with warnings.catch_warnings(), pytest.raises(UserError, match=told):
+        with warnings.catch_warnings(), pytest.raises(UserError, match=message):
             warnings.simplefilter("ignore")
             mapper.update(*bad)
         np.testing.assert_array_equal(mapper.maps.probabilities, before)
@@ -195,14 +196,14 @@ def test_warnings_come_once_for_each_quantity_when_it_first_differs() -> None:
     mapper = SemanticMapper(Toy())
     rgb, depth = np.zeros((48, 48, 3), np.uint8), np.full((48, 48), 2.0, np.float32)
 
-    def told(height: float, pitch: float) -> list[str]:
+    def warned(height: float, pitch: float) -> list[str]:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             camera = Camera.from_degrees(48, 48, 90.0, height, pitch=pitch)
             mapper.update(rgb, depth, camera.to_world(Pose(0.0, 0.0, 0.0)))
         return [str(each.message).partition(":")[0] for each in caught]
 
-    assert [told(1.25, 0.0), told(1.5, 0.0), told(1.5, 20.0), told(1.6, 25.0)] == [
+    assert [warned(1.25, 0.0), warned(1.5, 0.0), warned(1.5, 20.0), warned(1.6, 25.0)] == [
         [],
         ["mount_height"],
         ["pitch"],
@@ -211,28 +212,33 @@ def test_warnings_come_once_for_each_quantity_when_it_first_differs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("colour", "depth", "told"),
+    ("colour", "depth", "message"),
     [
-        (Intrinsics(48, 36, 24.0, 24.0, 23.5, 17.5), None, "vertical field of view: the robot's colour"),
+        (Intrinsics(48, 36, 24.0, 24.0, 23.5, 17.5), None, "vertical field of view: .*colour camera"),
         (
             Intrinsics.of(CAMERA),
             Intrinsics(48, 48, 40.0, 24.0, 23.5, 23.5),
-            "horizontal .* robot's depth camera",
+            "horizontal field of view: .*depth camera",
         ),
         (
             Intrinsics.of(CAMERA),
             Intrinsics(16, 16, 8.0, 8.0, 7.5, 7.5),
-            "robot's depth camera has 0.14 pixels",
+            r"resolution: .*depth camera.*0\.14",
         ),
     ],
 )
-def test_all_of_both_cameras_is_compared(colour: Intrinsics, depth: Intrinsics | None, told: str) -> None:
-    with pytest.warns(UserWarning, match=told):
+def test_all_intrinsics_of_both_cameras_are_compared(
+    colour: Intrinsics, depth: Intrinsics | None, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.warns(UserWarning, match=message):
         SemanticMapper(Toy(), RgbdCamera(colour, depth))
-    none = Limits(field_of_view=1.0, vertical_field_of_view=1.0, resolution=1.0)
-    with warnings.catch_warnings(), pytest.raises(UserError, match=told):
+    strict = replace(
+        semantic_mapper.MAX_DIFFERENCE, field_of_view=1.0, vertical_field_of_view=1.0, resolution=1.0
+    )
+    monkeypatch.setattr(semantic_mapper, "MAX_DIFFERENCE", strict)
+    with warnings.catch_warnings(), pytest.raises(UserError, match=message):
         warnings.simplefilter("ignore")
-        SemanticMapper(Toy(), RgbdCamera(colour, depth), limits=none)
+        SemanticMapper(Toy(), RgbdCamera(colour, depth))
 
 
 def test_images_of_another_type_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,20 +247,20 @@ def test_images_of_another_type_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
     k = Intrinsics(96, 72, 48.0, 48.0, 47.5, 35.5)  # is brought into the units' camera
     mapper = SemanticMapper(Toy(), RgbdCamera(k))
     rgb, depth = np.zeros((72, 96, 3), np.uint8), np.full((72, 96), 2.0, np.float32)
-    for bad_rgb, bad_depth, told in (
-        (rgb, (1000 * depth).astype(np.uint16), "depth: got uint16 .* in metres; of 16-bit millimetres"),
+    for bad_rgb, bad_depth, message in (
+        (rgb, (1000 * depth).astype(np.uint16), "depth: got uint16"),
         (rgb, depth.astype(np.float64), "depth: got float64"),
         (rgb, depth[..., None], r"depth: got float32 of shape \(72, 96, 1\)"),
         (rgb / np.float32(255), depth, "rgb: got float32"),
         (rgb[..., 0], depth, r"rgb: got uint8 of shape \(72, 96\)"),
         (np.zeros((72, 96, 4), np.uint8), depth, r"rgb: got uint8 of shape \(72, 96, 4\)"),
     ):
-        with pytest.raises(UserError, match=told):
+        with pytest.raises(UserError, match=message):
             mapper.update(bad_rgb, bad_depth, Pose(0.0, 0.0, 0.0))
     assert mapper.frames == 0
 
 
-def test_ctrl_c_in_the_first_frame_saves_nothing_and_says_nothing_else() -> None:
+def test_ctrl_c_in_the_first_frame_saves_nothing() -> None:
     class Interrupted(Toy):
         def __call__(self, observation: Observation) -> np.ndarray:
             raise KeyboardInterrupt
@@ -267,49 +273,49 @@ def test_ctrl_c_in_the_first_frame_saves_nothing_and_says_nothing_else() -> None
             yield Shot(0, CAMERA.to_world(Pose(0.0, 0.0, 0.0)), lambda: images)
 
     with pytest.raises(SystemExit) as ended:
-        run(SemanticMapper(Interrupted()), Frames(OneFrame()), NoViewer())
+        map_frames(SemanticMapper(Interrupted()), Frames(OneFrame()), NoViewer())
     assert ended.value.code == 130
 
 
-def test_dashes_of_a_wall_are_not_called_free() -> None:
+def test_gaps_of_a_dashed_wall_are_not_free() -> None:
     occupied = np.zeros((40, 40), np.bool_)
     occupied[10, 5:30:4] = True  # every 0.4 m
-    inside = around(occupied, 0.1)
+    inside = near_obstacles(occupied, 0.1)
     assert inside[9:12, 5:30].all() and not inside[13:].any() and not inside[:, 32:].any()
     occupied = np.zeros((40, 40), np.bool_)
     occupied[10, [5, 14]] = True  # a door of 0.8 m
-    assert not around(occupied, 0.1)[10, 7:13].any()
+    assert not near_obstacles(occupied, 0.1)[10, 7:13].any()
 
 
-def test_units_side_by_side() -> None:
+def test_an_ensemble_of_units() -> None:
     both = UnitEnsemble([Toy("chair"), Toy("bed")])
     assert both.spec.categories == ("chair", "bed") and both.spec.thresholds == (0.5, 0.5)
     rgb, depth, pose = frames()[0]
     update = SemanticMapper(both).update(rgb, depth, pose)
     assert update.probabilities.shape == (2, 31, 31)
-    with pytest.raises(UserError, match="got the categories .*'chair', 'chair'"):
+    with pytest.raises(UserError, match="categories .*'chair', 'chair'"):
         UnitEnsemble([Toy("chair"), Toy("chair")])
     with pytest.raises(UserError, match="got the ego"):
         UnitEnsemble([Toy("chair"), Toy("bed", ego=EgoGrid(0.12, 33))])
 
 
-def test_descriptions_come_back_from_text_and_strangers_are_refused() -> None:
-    known = Toy("chair", "bed").spec
-    assert UnitSpec.from_json(known.to_json(more=1), "x") == known
-    for change, told in (
+def test_unit_specs_are_read_from_json_and_invalid_ones_are_refused() -> None:
+    spec = Toy("chair", "bed").spec
+    assert UnitSpec.from_json(spec.to_json(look_once=True), "x") == spec  # an entry of earlier versions
+    for change, message in (
         (('"version": 2', '"version": 1'), "got version 1"),
-        (("[0.5, 0.5]", "[0.5]"), "got 1 thresholds for 2 categories"),
+        (("[0.5, 0.5]", "[0.5]"), "got 1 thresholds"),
         (("[0.5, 0.5]", "[0.5, NaN]"), "thresholds: got nan"),
         (("[0.5, 0.5]", "[0.5, 1.5]"), "thresholds: got 1.5"),
-        (('"cells": 31', '"cells": 9000000'), "ego.cells: got 9000000"),
-        (('"width": 48', '"width": 4000000'), "camera.width: got 4000000"),
+        (('"cells": 31', '"cells": 9000000'), "cells: got 9000000"),
+        (('"width": 48', '"width": 4000000'), "width: got 4000000"),
         (('"chair"', '"../chair"'), "got the category '../chair'"),
         (('"chair"', '"map"'), "got the category 'map'"),
-        (('"ego"', '"egg"'), "its description cannot be read"),
+        (('"ego"', '"egg"'), "x: the unit specification cannot be read"),
     ):
-        with pytest.raises(UserError, match=told):
-            UnitSpec.from_json(known.to_json().replace(*change), "x")
-    with pytest.raises(UserError, match="its description cannot be read"):
+        with pytest.raises(UserError, match=message):
+            UnitSpec.from_json(spec.to_json().replace(*change), "x")
+    with pytest.raises(UserError, match="x: the unit specification cannot be read"):
         UnitSpec.from_json("[1", "x")
 
 

@@ -31,7 +31,7 @@ RULES = [MovingAverage(0.9), MovingAverage(0.3), Mean(), Max(), Latest(), Entrop
 
 
 def update_by_hand(rule: UpdateRule, values: list[float]) -> float:
-    """What one cell holds after the values, from each rule's own definition."""
+    """Value of one cell after several values, by the definition of each rule."""
     if isinstance(rule, Mean):
         return sum(values) / len(values)
     if isinstance(rule, Max):
@@ -49,7 +49,7 @@ def update_by_hand(rule: UpdateRule, values: list[float]) -> float:
 
 
 def pull_by_loops(values: np.ndarray, mask: np.ndarray, pose: Pose) -> list[tuple[int, int, int, float]]:
-    """Layer, row, column and value of each global cell that the view touches."""
+    """Layer, row, column and value of each global cell that the view writes."""
     last, found = EGO.cells - 1, []
     for row in range(GRID.rows):
         for column in range(GRID.columns):
@@ -88,7 +88,7 @@ def mapper(rule: UpdateRule, layers: int = 2) -> Mapper:
 
 
 @pytest.mark.parametrize("rule", RULES, ids=repr)
-def test_each_rule_is_that_of_the_loop(rule: UpdateRule) -> None:
+def test_each_rule_agrees_with_loops(rule: UpdateRule) -> None:
     poses = [
         Pose(0.11, 0.63, 0.4),
         Pose(0.31, 0.95, 2.0),
@@ -182,7 +182,7 @@ def test_values_agree_with_opencvs_bilinear_warp(theta: float) -> None:
     )
     assert inside.sum() > 300
     assert global_map.written[0][inside].all()
-    assert np.abs(global_map.probabilities[0] - warped)[inside].max() < 0.01  # OpenCV epochs weights to 1/32
+    assert np.abs(global_map.probabilities[0] - warped)[inside].max() < 0.01  # OpenCV rounds weights to 1/32
 
 
 @pytest.mark.parametrize("theta", np.linspace(-3, 3, 9))
@@ -221,7 +221,7 @@ def test_a_cell_outside_the_window_stays_untouched(x: float, y: float, theta: fl
     assert (global_map.probabilities[0][inside] == 1).all()
 
 
-def test_what_a_view_does_not_speak_of_stays() -> None:
+def test_cells_without_evidence_do_not_change() -> None:
     global_map, (values, mask) = mapper(Latest()), view(4)
     pose = on_cell(30, 30, 0.7)
     global_map.register(values, np.zeros_like(mask), pose)
@@ -275,7 +275,7 @@ def test_far_outside_the_map_nothing_happens() -> None:
 @pytest.mark.parametrize("factor", [-0.1, 1.1, float("nan"), float("inf")])
 def test_aggregation_factor_out_of_range_is_refused(factor: float) -> None:
     for rule in (MovingAverage, EntropyMovingAverage):
-        with pytest.raises(UserError, match=r"aggregation_factor: got .*expected a number in \[0.0, 1.0\]"):
+        with pytest.raises(UserError, match=r"aggregation_factor: got .*\[0.0, 1.0\]"):
             rule(factor)
     with pytest.raises(UserError, match="max_entropy: got"):
         EntropyMovingAverage(0.9, -0.1)
@@ -288,16 +288,16 @@ def test_aggregation_factor_out_of_range_is_refused(factor: float) -> None:
             np.zeros((2, 20, 21), np.float32),
             None,
             None,
-            r"values: got float32 of shape \(2, 20, 21\), expected .*\(2, 21, 21\)",
+            r"values: got float32 of shape \(2, 20, 21\)",
         ),
         (np.zeros((3, 21, 21), np.float32), None, None, "values: got"),
-        (np.zeros((2, 21, 21)), None, None, "values: got float64 .*expected float32"),
-        (np.full((2, 21, 21), 1.5, np.float32), None, None, "values: got 1.5 to 1.5, expected probabilities"),
+        (np.zeros((2, 21, 21)), None, None, "values: got float64"),
+        (np.full((2, 21, 21), 1.5, np.float32), None, None, "values: got 1.5 to 1.5"),
         (np.full((2, 21, 21), -0.5, np.float32), None, None, "values: got -0.5"),
         (np.full((2, 21, 21), np.nan, np.float32), None, None, "values: got nan"),
         (None, np.ones((2, 21, 20), np.bool_), None, r"mask: got bool of shape \(2, 21, 20\)"),
-        (None, None, Pose(np.nan, 0.0, 0.0), "pose: got .* expected finite"),
-        (None, None, Pose(0.0, 0.0, np.inf), "pose: got .* expected finite"),
+        (None, None, Pose(np.nan, 0.0, 0.0), "pose: got .*(nan|inf)"),
+        (None, None, Pose(0.0, 0.0, np.inf), "pose: got .*(nan|inf)"),
     ],
 )
 def test_bad_views_are_refused_and_change_nothing(
@@ -326,11 +326,11 @@ def test_a_map_that_does_not_fit_in_memory_is_refused(monkeypatch: pytest.Monkey
     monkeypatch.setattr(mapper_module, "physical_memory", lambda: needed)
     mapper(Mean())
     monkeypatch.setattr(mapper_module, "physical_memory", lambda: needed - 1)
-    with pytest.raises(UserError, match="map of 2 x 60 x 70 cells: got .* GB, .*choose a coarser resolution"):
+    with pytest.raises(UserError, match="map of 2 x 60 x 70 cells: got .* GB"):
         mapper(Mean())
 
 
-def test_saving_takes_as_much_memory_as_was_counted_for(tmp_path: Path) -> None:
+def test_saving_needs_as_much_memory_as_counted(tmp_path: Path) -> None:
     grid, layers = Grid(0.05, 600, 500, (0.0, 0.0)), 4
     global_map = Mapper(grid, EgoGrid(0.05, 21), [*"abcd"], Mean())
     maps = Maps(
@@ -352,7 +352,7 @@ def test_saving_takes_as_much_memory_as_was_counted_for(tmp_path: Path) -> None:
 
 
 def test_views_of_another_resolution_and_maps_without_layers_are_refused() -> None:
-    with pytest.raises(UserError, match="resolution: got 0.06 m for views, 0.0625 m for the map"):
+    with pytest.raises(UserError, match="resolution: got 0.06 .*0.0625"):
         Mapper(GRID, EgoGrid(0.06, 21), ["chair"], Mean())
     with pytest.raises(UserError, match="categories: got none"):
         Mapper(GRID, EGO, [], Mean())

@@ -1,4 +1,4 @@
-"""Scores of egocentric maps: against OpenCV, a loop and numbers worked out by hand."""
+"""Scores of egocentric maps, compared with OpenCV and values computed by hand."""
 
 import cv2
 import numpy as np
@@ -25,19 +25,19 @@ HALF = THRESHOLDS.index(0.5)
 )
 def test_dilate_is_opencv_s(kernel: int, rows: int, columns: int, seed: int) -> None:
     mask = np.random.default_rng(seed).random((2, 1, rows, columns)) < 0.1
-    grown = dilate(torch.from_numpy(mask), kernel).numpy()
+    dilated = dilate(torch.from_numpy(mask), kernel).numpy()
     for view in range(2):
-        # OpenCV gathers with its anchor at k // 2: a marked cell spreads over -(k - 1)//2 to k//2
+        # OpenCV's anchor is at k // 2: a marked cell spreads over -(k - 1)//2 to k//2
         expected = cv2.dilate(
             mask[view, 0].astype(np.uint8), np.ones((kernel, kernel), np.uint8), iterations=1
         )
-        np.testing.assert_array_equal(grown[view, 0], expected > 0)
+        np.testing.assert_array_equal(dilated[view, 0], expected > 0)
 
 
 @pytest.mark.parametrize(
     ("kernel", "low", "high"), [(1, 0, 0), (2, 0, 1), (3, -1, 1), (10, -4, 5), (31, -15, 15)]
 )
-def test_dilate_covers_the_settled_offsets(kernel: int, low: int, high: int) -> None:
+def test_dilate_covers_the_documented_offsets(kernel: int, low: int, high: int) -> None:
     mask = torch.zeros(1, 1, 41, 41, dtype=torch.bool)
     mask[0, 0, 20, 20] = True
     rows, columns = dilate(mask, kernel)[0, 0].nonzero().T
@@ -45,7 +45,7 @@ def test_dilate_covers_the_settled_offsets(kernel: int, low: int, high: int) -> 
     assert (columns.min().item() - 20, columns.max().item() - 20) == (low, high)
 
 
-def test_neighbourhood_grows_only_from_seen_cells_that_are_likely() -> None:
+def test_neighbourhood_dilates_only_likely_seen_cells() -> None:
     probabilities = torch.zeros(1, 1, 9, 9)
     probabilities[0, 0, 1, 1], probabilities[0, 0, 7, 7], probabilities[0, 0, 1, 7] = 0.7, 0.7, 0.3
     seen = torch.ones(1, 1, 9, 9, dtype=torch.uint8)
@@ -79,17 +79,17 @@ def test_scores_by_hand() -> None:
 def test_cells_are_pooled_over_views_and_categories_averaged() -> None:
     seen = torch.ones(2, 1, 4, 4, dtype=torch.uint8)
     label = torch.zeros(2, 2, 4, 4, dtype=torch.uint8)
-    label[0, 0, 0, 0] = 1  # one cell in one view, three in the other; only the one is found
+    label[0, 0, 0, 0] = 1  # one cell in one view, three in the other; only the first is predicted
     label[1, 0, 3, :3] = 1
     label[0, 1, 2, 2] = 1
     probabilities = torch.zeros(2, 2, 4, 4)
     probabilities[0, 0, 0, 0], probabilities[0, 1, 2, 2] = 1.0, 1.0
-    both, apart = EgoScores(2, 1), EgoScores(2, 1)
-    both.update(probabilities, label, seen)
+    pooled, separate = EgoScores(2, 1), EgoScores(2, 1)
+    pooled.update(probabilities, label, seen)
     for view in range(2):
-        apart.update(probabilities[view : view + 1], label[view : view + 1], seen[view : view + 1])
-    assert torch.equal(both.compute(), apart.compute())
-    named = named_scores(both.compute(), torch.tensor([HALF, HALF]), ["chair", "bed"])
+        separate.update(probabilities[view : view + 1], label[view : view + 1], seen[view : view + 1])
+    assert torch.equal(pooled.compute(), separate.compute())
+    named = named_scores(pooled.compute(), torch.tensor([HALF, HALF]), ["chair", "bed"])
     assert named["iou_chair"].item() == 0.25
     assert named["iou"].item() == pytest.approx((0.25 + 1) / 2)
 
@@ -108,6 +108,6 @@ def test_each_category_gets_the_threshold_of_its_highest_iou() -> None:
     probabilities = torch.tensor([[0.87, 0.83, 0.0, 0.0], [0.62, 0.57, 0.57, 0.0]]).view(1, 2, 2, 2)
     scores = EgoScores(2, 4)
     scores.update(probabilities, label, seen)
-    chosen = best_thresholds(scores.compute())
-    assert [THRESHOLDS[index] for index in chosen] == [0.85, 0.6]
-    assert named_scores(scores.compute(), chosen, ["chair", "bed"])["iou"].item() == 1
+    selected = best_thresholds(scores.compute())
+    assert [THRESHOLDS[index] for index in selected] == [0.85, 0.6]
+    assert named_scores(scores.compute(), selected, ["chair", "bed"])["iou"].item() == 1

@@ -1,4 +1,4 @@
-"""Encoders: which features of a timm model are used, and what bad names get."""
+"""Encoders: selection of the features of a timm model, and errors on bad names."""
 
 import pytest
 import timm
@@ -36,7 +36,7 @@ def test_early_stages(strides: list[int], stages: list[int]) -> None:
     assert early_stages(strides) == stages
 
 
-def test_channels_last_models_are_turned() -> None:
+def test_features_of_channels_last_models_are_permuted() -> None:
     encoder = TimmEncoder("swin_tiny_patch4_window7_224", 64, 64)
     assert encoder(torch.zeros(1, 3, 64, 64, dtype=torch.uint8)).shape == (1, 96 + 192, 8, 8)
 
@@ -61,14 +61,14 @@ def test_a_model_of_a_fixed_size_is_created_with_the_camera_s() -> None:
     assert encoder(torch.zeros(1, 3, 48, 64, dtype=torch.uint8)).shape == (1, 192, 3, 4)
 
 
-def test_stages_that_are_not_used_do_not_wait_for_gradients() -> None:
+def test_unused_stages_are_frozen() -> None:
     encoder = TimmEncoder("mobilenetv3_small_050", 64, 64)
     encoder(torch.zeros(2, 3, 64, 64, dtype=torch.uint8)).sum().backward()
     assert all((weight.grad is not None) == weight.requires_grad for weight in encoder.parameters())
     assert not all(weight.requires_grad for weight in encoder.parameters())
 
 
-def test_weights_that_cannot_be_had_say_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_that_cannot_be_loaded_are_reported_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     def offline(name: str, pretrained: bool, **options: object) -> torch.nn.Module:
         if pretrained:
             raise OSError("no route to host")
@@ -76,5 +76,7 @@ def test_weights_that_cannot_be_had_say_what_to_do(monkeypatch: pytest.MonkeyPat
 
     create_model = timm.create_model
     monkeypatch.setattr(timm, "create_model", offline)
-    with pytest.raises(UserError, match="weights cannot be loaded.*no route to host.*pretrained=false"):
+    with pytest.raises(
+        UserError, match="model.encoder.name: got 'resnet18'.*no route to host.*pretrained=false"
+    ):
         TimmEncoder("resnet18", 32, 32, pretrained=True)

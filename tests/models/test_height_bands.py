@@ -1,4 +1,4 @@
-"""The depth projection by height: against a loop, and against occupancy."""
+"""Depth projection by height, compared with a loop and with occupancy."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def test_bands_are_those_of_a_loop() -> None:
     np.testing.assert_array_equal(bands, expected)
 
 
-def test_the_union_of_bands_is_what_is_occupied() -> None:
+def test_the_union_of_bands_is_the_occupied_map() -> None:
     depth = random_depth(1)
     union = HeightBands(CAMERA, EGO, HEIGHTS)(depth)[0].amax(dim=0).numpy()
     occupied = project_depth(depth[0, 0].float().numpy(), CAMERA, EGO, Band(0.2, 1.5)).occupied
@@ -56,7 +56,7 @@ def test_jitter_scales_heights_in_training_only() -> None:
     torch.manual_seed(0)
     factors = 1 + 0.2 * (2 * torch.rand(len(depth), 1, 1) - 1)
     for index, factor in enumerate(factors.flatten().tolist()):
-        # heights that are scaled by a factor lie in bands whose bounds are divided by it
+        # scaling heights by a factor is equivalent to dividing the bounds of the bands by it
         scaled = HeightBands(CAMERA, EGO, [height / factor for height in HEIGHTS])(depth)[index]
         assert (
             (maps[index] != scaled).float().mean()

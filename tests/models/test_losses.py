@@ -1,4 +1,4 @@
-"""The loss against numbers worked out by hand, a loop, and itself over two processes."""
+"""Losses, compared with values computed by hand, a loop, and two processes."""
 
 import math
 import subprocess
@@ -17,7 +17,7 @@ from tests.helpers.batches import random_batch
 
 
 def masks(views: int, cells: int, label: dict[int, int], around: dict[int, int]) -> tuple[Tensor, Tensor]:
-    """Label and neighbourhood with so many cells in each view; the neighbourhood holds the label too."""
+    """Return label and neighbourhood with given numbers of cells per view; the neighbourhood includes the label."""
     maps = torch.zeros(2, views, 1, cells * cells, dtype=torch.uint8)
     for view, count in label.items():
         maps[:, view, 0, :count] = 1
@@ -60,15 +60,15 @@ def test_caps() -> None:
 def loss_by_loop(
     logits: Tensor, label: Tensor, neighbourhood: Tensor, alpha_max: float, gamma_max: float
 ) -> float:
-    """The paper's equations, cell by cell, on probabilities."""
+    """Compute the paper's equations cell by cell, on probabilities."""
     total, (views, categories, cells, _) = 0.0, label.shape
     for category in range(categories):
-        answers = label[:, category].flatten().tolist()
+        target = label[:, category].flatten().tolist()
         near = neighbourhood[:, category].flatten().tolist()
         n = views * cells * cells
-        w_alpha = min(n / (sum(answers) + 1), alpha_max)
-        w_gamma = min(n / (sum(m > 0 and y == 0 for m, y in zip(near, answers, strict=True)) + 1), gamma_max)
-        for x, y, m in zip(logits[:, category].double().flatten().tolist(), answers, near, strict=True):
+        w_alpha = min(n / (sum(target) + 1), alpha_max)
+        w_gamma = min(n / (sum(m > 0 and y == 0 for m, y in zip(near, target, strict=True)) + 1), gamma_max)
+        for x, y, m in zip(logits[:, category].double().flatten().tolist(), target, near, strict=True):
             p = 1 / (1 + math.exp(-x))
             weight = (w_alpha - 1 if y > 0 else 0) + (w_gamma - 1 if m > 0 and y == 0 else 0) + 1
             total -= weight * (y * math.log(p) + (1 - y) * math.log(1 - p))
@@ -115,7 +115,7 @@ def test_certain_and_wrong_stays_finite() -> None:
 
 @pytest.mark.parametrize("count", [2, 3, 5])
 def test_parts_of_a_batch_add_up_to_it(count: int) -> None:
-    """Gradient accumulation: the weights of each part are those of the whole batch, however label is spread over it."""
+    """In gradient accumulation, the weights of a part are those of the whole batch, for any distribution of labels."""
     batch = random_batch(views=7, cells=9, categories=2)
     batch["label"][2:] = 0
     batch["logits"] = torch.randn(7, 2, 9, 9)
@@ -134,7 +134,7 @@ def test_parts_of_a_batch_add_up_to_it(count: int) -> None:
     torch.testing.assert_close(gradient, expected)
     first = next(parts(batch, count))
     _, own = imagination_loss(torch.zeros(first["label"].shape), first["label"], first["neighbourhood"])
-    assert not torch.allclose(own.alpha, weights.alpha)  # a part's own weights would be others
+    assert not torch.allclose(own.alpha, weights.alpha)  # the weights of the part alone differ
 
 
 @pytest.mark.slow
@@ -146,13 +146,13 @@ def test_two_processes_train_as_one() -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_the_paper_s_loss_as_a_part_is_the_function() -> None:
+def test_weighted_bce_equals_the_function() -> None:
     batch = random_batch(views=3, cells=9, categories=2)
     logits = torch.randn(3, 2, 9, 9, generator=torch.Generator().manual_seed(0))
     expected, weights = imagination_loss(logits, batch["label"], batch["neighbourhood"], 7.0, 3.0)
-    loss, told = WeightedBCE(7.0, 3.0)(logits, batch["label"], batch["neighbourhood"])
+    loss, logged = WeightedBCE(7.0, 3.0)(logits, batch["label"], batch["neighbourhood"])
     assert loss == expected
-    assert told["w_alpha"] == weights.alpha.mean() and told["w_gamma"] == weights.gamma.mean()
+    assert logged["w_alpha"] == weights.alpha.mean() and logged["w_gamma"] == weights.gamma.mean()
     own = [
         WeightedBCE(7.0, 3.0)(part["logits"], part["label"], part["neighbourhood"], part["counts"])
         for part in parts({**batch, "logits": logits}, 2)
@@ -161,15 +161,15 @@ def test_the_paper_s_loss_as_a_part_is_the_function() -> None:
     assert all(part.parts["w_gamma"] == weights.gamma.mean() for part in own)
 
 
-def test_dice_by_hand_takes_the_batch_as_one_picture() -> None:
+def test_dice_by_hand_sums_over_the_whole_batch() -> None:
     label = torch.zeros(2, 1, 2, 2, dtype=torch.uint8)
-    label[0, 0, 0] = 1  # the second view has none: a dice of its own would be nearly 1
+    label[0, 0, 0] = 1  # the second view has no label: its own dice loss would be nearly 1
     logits = torch.tensor([[[[0.0, math.log(3)], [0.0, -math.log(3)]]], [[[0.0, 0.0], [0.0, 0.0]]]])
     # probabilities 1/2, 3/4 on the label and 1/2, 1/4, 4 x 1/2 elsewhere
-    both, either = 1 / 2 + 3 / 4, (1 / 2 + 3 / 4) + (1 / 2 + 1 / 4 + 4 / 2) + 2
+    intersection, total_area = 1 / 2 + 3 / 4, (1 / 2 + 3 / 4) + (1 / 2 + 1 / 4 + 4 / 2) + 2
     bce = -(6 * math.log(1 / 2) + 2 * math.log(3 / 4)) / 8
     loss, parts = BCEDice()(logits, label, label)
-    assert parts["dice"].item() == pytest.approx(1 - 2 * (both + 1) / (either + 2))
+    assert parts["dice"].item() == pytest.approx(1 - 2 * (intersection + 1) / (total_area + 2))
     assert parts["bce"].item() == pytest.approx(bce)
     assert loss.item() == pytest.approx(parts["dice"].item() + bce)
 
@@ -181,4 +181,4 @@ def test_dice_of_categories_adds_up_and_a_batch_without_label_has_gradients() ->
     assert BCEDice()(logits, batch["label"], batch["label"]).loss.item() == pytest.approx(sum(apart).item())
     logits.requires_grad_()
     BCEDice()(logits, torch.zeros_like(batch["label"]), batch["label"]).loss.backward()
-    assert (logits.grad > 0).all()  # everything is to be imagined less
+    assert (logits.grad > 0).all()  # all predictions should decrease

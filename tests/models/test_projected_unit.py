@@ -1,4 +1,4 @@
-"""Image features carried to the egocentric grid: against a loop, and against the depth projection."""
+"""Image features projected into the egocentric grid, compared with a loop and with the depth projection."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def random_depth(views: int, seed: int = 0) -> torch.Tensor:
 
 
 def means_by_loop(image: np.ndarray, depth: np.ndarray, max_height: float) -> np.ndarray:
-    """One pixel after the other, with the camera's and the grid's own methods."""
+    """Compute the means pixel by pixel with the methods of the camera and the grid."""
     cells: dict[tuple[int, int], list[np.ndarray]] = {}
     (centre_u, centre_v), to_robot = CAMERA.principal_point, CAMERA.to_robot()
     for v in range(CAMERA.height):
@@ -51,7 +51,7 @@ def test_means_equal_those_of_a_loop(max_height: float) -> None:
         np.testing.assert_allclose(means[view], expected, atol=1e-4)
 
 
-def test_gradients_reach_exactly_the_pixels_whose_return_lies_in_the_grid() -> None:
+def test_gradients_reach_exactly_the_pixels_with_a_return_in_the_grid() -> None:
     image, depth = torch.rand(1, 2, CAMERA.height, CAMERA.width, requires_grad=True), random_depth(1)
     projection = Projection(CAMERA, EGO, 1.5)
     projection(image, depth)[:, :2].sum().backward()
@@ -61,7 +61,7 @@ def test_gradients_reach_exactly_the_pixels_whose_return_lies_in_the_grid() -> N
     assert not image.grad[:, :, depth[0, 0] == 0].any()
 
 
-def test_what_is_left_in_the_image_lands_left_in_the_grid_where_depth_projects_it() -> None:
+def test_the_left_of_the_image_is_projected_to_the_left_of_the_grid() -> None:
     camera, ego = Camera.from_degrees(64, 64, 90.0, 1.25), EgoGrid.of_extent(5.2, 0.1)
     depth = np.zeros((64, 64), np.float32)
     depth[36:44, 4:12] = 2.0  # a box's face, 2 m ahead, below the optical axis and far to the left

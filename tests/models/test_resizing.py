@@ -1,4 +1,4 @@
-"""Resizing by matrix products, which GPUs do: the same as the library's on the CPU, gradients too."""
+"""Resizing by matrix products, as on GPUs, compared with the library's values and gradients on the CPU."""
 
 import pytest
 import torch
@@ -15,34 +15,36 @@ SIDE = st.integers(1, 12)
 @given(
     st.tuples(SIDE, SIDE), st.tuples(SIDE, SIDE), st.sampled_from(["bilinear", "area"]), st.integers(0, 99)
 )
-def test_products_are_what_the_library_makes(
-    old: tuple[int, int], new: tuple[int, int], mode: str, seed: int
-) -> None:
+def test_products_equal_the_library(old: tuple[int, int], new: tuple[int, int], mode: str, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     features = torch.rand(2, 3, *old, generator=generator, requires_grad=True)
     weights = torch.rand(2, 3, *new, generator=generator)
-    found, expected = by_products(features, *new, mode), interpolate(features, size=new, mode=mode)
-    torch.testing.assert_close(found, expected)
-    ours, theirs = (torch.autograd.grad((made * weights).sum(), features)[0] for made in (found, expected))
+    actual, expected = by_products(features, *new, mode), interpolate(features, size=new, mode=mode)
+    torch.testing.assert_close(actual, expected)
+    ours, theirs = (
+        torch.autograd.grad((resized * weights).sum(), features)[0] for resized in (actual, expected)
+    )
     torch.testing.assert_close(ours, theirs)
 
 
-@pytest.mark.parametrize("kind", [torch.float32, torch.bfloat16])
-def test_the_kind_of_numbers_and_channels_last_stay(kind: torch.dtype) -> None:
-    features = torch.rand(2, 8, 5, 7).to(kind, memory_format=torch.channels_last)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_the_data_type_and_the_memory_format_are_preserved(dtype: torch.dtype) -> None:
+    features = torch.rand(2, 8, 5, 7).to(dtype, memory_format=torch.channels_last)
     with torch.autocast("cpu", torch.bfloat16):
-        made = by_products(features, 9, 4)
-    assert made.dtype == kind and made.is_contiguous(memory_format=torch.channels_last)
+        resized = by_products(features, 9, 4)
+    assert resized.dtype == dtype and resized.is_contiguous(memory_format=torch.channels_last)
     expected = interpolate(features.float(), size=(9, 4), mode="bilinear")
-    torch.testing.assert_close(made.float(), expected, atol=1e-6 if kind == torch.float32 else 0.02, rtol=0)
+    torch.testing.assert_close(
+        resized.float(), expected, atol=1e-6 if dtype == torch.float32 else 0.02, rtol=0
+    )
 
 
-def test_no_view_is_no_view() -> None:
-    """Of several processes one may have got none."""
+def test_an_empty_batch_stays_empty() -> None:
+    """One of several ranks may have no view."""
     assert by_products(torch.rand(0, 3, 5, 6), 7, 4).shape == (0, 3, 7, 4)
 
 
-def test_training_goes_on_after_an_evaluation_resized_first() -> None:
+def test_training_works_after_resizing_in_inference_mode() -> None:
     with torch.inference_mode():
         by_products(torch.rand(1, 1, 11, 13), 17, 19)
     features = torch.rand(1, 1, 11, 13, requires_grad=True)

@@ -1,4 +1,4 @@
-"""What every unit promises, for every unit, backbone and encoder that the configuration offers."""
+"""Contract of units, for every unit, backbone and encoder of the configuration."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ ENCODERS = {
 
 
 def build(*overrides: str) -> nn.Module:
-    """The unit as the program composes it, at the size of the tests."""
+    """Build a unit from the configuration, at the scale of the tests."""
     torch.manual_seed(0)
     with initialize_config_dir(str(CONF), version_base="1.3"):
         config = compose("base", ["scale=test", *overrides])
@@ -57,48 +57,48 @@ def test_unit_fulfils_its_contract(variant: str, backbone: str, encoder: str) ->
         alone = unit(*(tensor[1:] for tensor in inputs(batch)))
     assert logits.shape == batch["label"].shape and logits.dtype == torch.float32 and logits.isfinite().all()
     assert torch.equal(logits, again), "evaluation is not deterministic"
-    torch.testing.assert_close(logits[1:], alone, rtol=1e-4, atol=1e-4)  # views do not see each other
+    torch.testing.assert_close(logits[1:], alone, rtol=1e-4, atol=1e-4)  # views are independent
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_mirrored_answers_are_the_mean_of_both_looks(variant: str) -> None:
-    twice, once = (
+def test_tta_hflip_is_the_mean_over_both_flips(variant: str) -> None:
+    augmented, plain = (
         build(
             f"+model={variant}",
-            f"scale.tta_hflip={answers}",
+            f"scale.tta_hflip={tta_hflip}",
             "scale.height_jitter=0",
             "scale.postprocess_dilation=0",
         )
-        for answers in ("true", "false")
+        for tta_hflip in ("true", "false")
     )
     views = inputs(batch_for())
     with torch.no_grad():
-        assert torch.equal(twice(*views), once(*views))  # training looks once
-        twice.eval(), once.eval()
-        straight, mirrored = once(*views), once(*(each.flip(-1) for each in views)).flip(-1)
-        torch.testing.assert_close(twice(*views), (straight + mirrored) / 2, rtol=1e-4, atol=1e-4)
+        assert torch.equal(augmented(*views), plain(*views))  # no augmentation in training
+        augmented.eval(), plain.eval()
+        straight, mirrored = plain(*views), plain(*(view.flip(-1) for view in views)).flip(-1)
+        torch.testing.assert_close(augmented(*views), (straight + mirrored) / 2, rtol=1e-4, atol=1e-4)
         with torch.autocast("cpu", torch.bfloat16):
-            assert twice(*views).isfinite().all()
+            assert augmented(*views).isfinite().all()
     assert (straight - mirrored).abs().max() > 0.01
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize(("window", "cells"), [(0.0, 1), (0.2, 3), (0.36, 3), (0.5, 5)])
-def test_dilated_answers_are_those_of_opencv(variant: str, window: float, cells: int) -> None:
-    raw, painter = (
+def test_postprocess_dilation_equals_opencv(variant: str, window: float, cells: int) -> None:
+    raw, postprocessed = (
         build(
             f"+model={variant}",
-            f"scale.postprocess_dilation={each}",
+            f"scale.postprocess_dilation={size}",
             "scale.height_jitter=0",
             "scale.tta_hflip=false",
         )
-        for each in (0.0, window)
+        for size in (0.0, window)
     )
     views, square = inputs(batch_for()), np.ones((cells, cells))
     with torch.no_grad():
-        assert torch.equal(raw(*views), painter(*views))  # training is without
-        thin, thick = (unit.eval()(*views)[:, 0].numpy() for unit in (raw, painter))
-        np.testing.assert_array_equal(painter.raw(*views)[:, 0].numpy(), thin)
+        assert torch.equal(raw(*views), postprocessed(*views))  # no postprocessing in training
+        thin, thick = (unit.eval()(*views)[:, 0].numpy() for unit in (raw, postprocessed))
+        np.testing.assert_array_equal(postprocessed.raw(*views)[:, 0].numpy(), thin)
     for before, after in zip(thin, thick, strict=True):
         sums, counts = (
             cv2.boxFilter(each, -1, square.shape, normalize=False, borderType=cv2.BORDER_CONSTANT)
@@ -109,7 +109,7 @@ def test_dilated_answers_are_those_of_opencv(variant: str, window: float, cells:
 
 @pytest.mark.parametrize("cells", [9, 33, 87, 261])
 @pytest.mark.parametrize("backbone", BACKBONES)
-def test_any_grid_will_do(backbone: str, cells: int) -> None:
+def test_grids_of_any_size_work(backbone: str, cells: int) -> None:
     unit = build("+model=unit", f"model/backbone={backbone}", f"scale.ego_extent={0.12 * cells}").eval()
     batch = batch_for(cells=cells, views=1)
     with torch.no_grad():
@@ -131,7 +131,7 @@ def test_an_untrained_unit_imagines_little(variant: str) -> None:
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_every_input_that_a_unit_declares_matters(variant: str) -> None:
+def test_every_input_affects_the_prediction(variant: str) -> None:
     unit = build(f"+model={variant}").eval()
     for name in ("rgb", "occupied", "seen"):
         batch = batch_for()
@@ -140,15 +140,15 @@ def test_every_input_that_a_unit_declares_matters(variant: str) -> None:
             assert not torch.equal(unit(*inputs(batch)), unit(*inputs(changed))), name
 
 
-def test_units_side_by_side_get_the_gradients_that_each_gets_alone() -> None:
+def test_units_of_a_module_get_the_gradients_of_training_alone() -> None:
     names = ["chair", "bed", "table"]
-    exact = "scale.height_jitter=0"  # random numbers would differ
+    exact = "scale.height_jitter=0"  # random jitter would differ
     module = build("+model=units", f"unit_categories=[{','.join(names)}]", exact)
     batch = random_batch(size=48, cells=31, categories=3)
     WeightedBCE()(module(*inputs(batch)), batch["label"], batch["neighbourhood"]).loss.backward()
-    for place, (name, unit) in enumerate(zip(names, module.units, strict=True)):
+    for index, (name, unit) in enumerate(zip(names, module.units, strict=True)):
         alone = build("+model=unit", f"unit_categories=[{name}]", exact)
-        part = batch["label"][:, [place]], batch["neighbourhood"][:, [place]]
+        part = batch["label"][:, [index]], batch["neighbourhood"][:, [index]]
         WeightedBCE()(alone(*inputs(batch)), *part).loss.backward()
         for ours, expected in zip(unit.parameters(), alone.parameters(), strict=True):
             torch.testing.assert_close(ours.grad, expected.grad)

@@ -1,4 +1,4 @@
-"""Habitat: frames as pure functions, the source against a stand-in for the simulator; the real one where it is."""
+"""Habitat: conversion of frames, and the scene source with a fake simulator, or the real one if it is installed."""
 
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -19,7 +19,7 @@ from imagination.utils.errors import UserError
 from tests.helpers.fake_habitat import FLOOR, Fake, install
 from tests.helpers.scene_sources import source
 
-from imagination_habitat import frames  # isort: skip  # a plugin of this checkout: `sources` has made it importable
+from imagination_habitat import frames  # isort: skip  # importable since scene_sources activates the plugins
 from imagination_habitat.doctor import TRIAL  # isort: skip
 from imagination_habitat.simulator import SIMULATORS  # isort: skip
 
@@ -37,19 +37,19 @@ def habitat(fake: Fake, tmp_path: Path) -> SceneSource:
     return source(tmp_path, "data/scenes=habitat", SCENES)
 
 
-def test_points_go_there_and_back() -> None:
-    assert frames.to_ours(np.array([1.0, 2.0, 3.0])).tolist() == [1.0, -3.0, 2.0]
+def test_points_survive_a_round_trip() -> None:
+    assert frames.from_habitat(np.array([1.0, 2.0, 3.0])).tolist() == [1.0, -3.0, 2.0]
     points = np.random.default_rng(0).normal(size=(5, 3))
-    np.testing.assert_allclose(frames.to_habitat(frames.to_ours(points)), points)
-    assert np.linalg.det(frames.TO_OURS) == pytest.approx(1.0)
+    np.testing.assert_allclose(frames.to_habitat(frames.from_habitat(points)), points)
+    assert np.linalg.det(frames.FROM_HABITAT) == pytest.approx(1.0)
 
 
-def test_a_robot_that_looks_along_x_has_habitats_camera_turned_to_the_right() -> None:
-    """Habitat looks along -z, which is our +y; turning by + 90 degrees about its y looks along -x, so x needs - 90."""
+def test_a_robot_facing_x_rotates_habitats_camera_by_minus_90_degrees() -> None:
+    """Habitat's camera faces -z, which is our +y; +90 degrees about its y face -x, so +x needs -90."""
     camera = Camera.from_degrees(48, 48, 90.0, 1.25)
-    place, turn = frames.camera_state(camera.to_world(Pose(1.0, 2.0, 0.0), 0.5))
-    np.testing.assert_allclose(place, [1.0, 1.75, -2.0])
-    np.testing.assert_allclose(turn, [np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0], atol=1e-12)
+    position, rotation = frames.camera_state(camera.to_world(Pose(1.0, 2.0, 0.0), 0.5))
+    np.testing.assert_allclose(position, [1.0, 1.75, -2.0])
+    np.testing.assert_allclose(rotation, [np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0], atol=1e-12)
 
 
 @given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1))
@@ -59,14 +59,14 @@ def test_quaternions_are_those_of_scipy(numbers: list[float]) -> None:
     ours = np.array(frames.quaternion(rotation.as_matrix()))
     np.testing.assert_allclose(ours * np.sign(ours @ [w, x, y, z]), [w, x, y, z], atol=1e-9)
     np.testing.assert_allclose(
-        frames.rotation_of(rotation.as_quat().tolist()), rotation.as_matrix(), atol=1e-9
+        frames.rotation_matrix(rotation.as_quat().tolist()), rotation.as_matrix(), atol=1e-9
     )
 
 
 @given(st.floats(-3.1, 3.1))
-def test_a_box_that_stands_keeps_its_size_and_yaw(yaw: float) -> None:
-    turn = [0.0, float(np.sin(yaw / 2)), 0.0, float(np.cos(yaw / 2))]  # about Habitat's y
-    box = frames.upright([1.0, 0.5, -2.0], [0.7, 0.5, 0.2], turn)
+def test_an_upright_box_keeps_its_size_and_yaw(yaw: float) -> None:
+    rotation = [0.0, float(np.sin(yaw / 2)), 0.0, float(np.cos(yaw / 2))]  # about Habitat's y
+    box = frames.upright_box([1.0, 0.5, -2.0], [0.7, 0.5, 0.2], rotation)
     expected = OrientedBox((1.0, 2.0, 0.5), (1.4, 0.4, 1.0), yaw).footprint()
     distance = np.linalg.norm(box.footprint()[:, None] - expected[None], axis=2).min(axis=0)
     assert distance.max() < 1e-6
@@ -83,7 +83,7 @@ def test_rows_of_the_top_down_view_run_against_y() -> None:
 
 def test_images_are_those_of_the_room(habitat: SceneSource, fake: Fake) -> None:
     scene = habitat.load("a")
-    assert scene.floor_height == pytest.approx(FLOOR)  # the navmesh lies 0.05 above it
+    assert scene.floor_height == pytest.approx(FLOOR)  # the navmesh is 0.05 m higher
     ours, theirs = Renderer(fake.room.mesh, fake.room.lighting), renderer_of(scene)
     camera = Camera.from_degrees(40, 32, 70.0, 1.0, pitch=15.0)
     for x, y, theta in ((1.0, 2.0, 0.0), (1.3, 1.6, 2.0), (0.6, 2.2, -1.0)):
@@ -101,28 +101,32 @@ def test_one_simulator_serves_all_scenes(habitat: SceneSource, fake: Fake) -> No
 
 
 @pytest.mark.parametrize(
-    ("broken", "told"),
+    ("defect", "message"),
     [
-        ("blind", "saw none of the 4 objects"),
-        ("unnamed", "names no object"),
-        ("no_floor", "has no floor for a robot"),
+        ("blind", "scene a: .* saw none of 4 objects"),
+        ("unnamed", "scene a: .*no named object"),
+        ("no_floor", "scene a: .*no floor"),
     ],
 )
-def test_what_is_empty_is_an_error(habitat: SceneSource, fake: Fake, broken: str, told: str) -> None:
-    setattr(fake, broken, True)
-    with pytest.raises(UserError, match=told):
+def test_a_scene_without_objects_or_floor_is_refused(
+    habitat: SceneSource, fake: Fake, defect: str, message: str
+) -> None:
+    setattr(fake, defect, True)
+    with pytest.raises(UserError, match=message):
         habitat.load("a")
 
 
-def test_without_the_simulator_it_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_simulator_the_message_names_the_installation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import sys
 
     monkeypatch.setitem(sys.modules, "habitat_sim", None)
     with pytest.raises(UserError, match="conda install habitat-sim"):
         source(tmp_path, "data/scenes=habitat", SCENES).load("a")
-    with pytest.raises(UserError, match="no scene data set config"):
+    with pytest.raises(UserError, match=r"data\.scenes\.dataset: got missing\.json"):
         source(tmp_path, "data/scenes=habitat", SCENES, "data.scenes.dataset=missing.json")
-    with pytest.raises(UserError, match="split train: has no scenes"):
+    with pytest.raises(UserError, match=r"data\.scenes\.scenes\.train: got no scenes"):
         source(tmp_path, "data/scenes=habitat").scenes("train")
 
 
@@ -132,7 +136,7 @@ def test_the_doctors_trial_renders(fake: Fake, capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.skipif(find_spec("habitat_sim") is None, reason="habitat-sim is not installed (conda only)")
-def test_the_real_simulator_can_be_made() -> None:
+def test_the_real_simulator_can_be_created() -> None:
     from imagination_habitat.doctor import examine
 
     assert [finding.good for finding in examine()] == [True]

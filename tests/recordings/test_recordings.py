@@ -1,4 +1,4 @@
-"""Every kind of recording of one drive gives the same frames; what is wrong in one is skipped, counted or refused."""
+"""All recording formats give the same frames of one drive; invalid entries are skipped, counted or refused."""
 
 import struct
 import zlib
@@ -28,7 +28,7 @@ from tests.helpers.robot import (
     ROS2,
     TICK,
     Messages,
-    Taken,
+    RecordedFrame,
     Topic,
     base_to_world,
     quaternion,
@@ -43,10 +43,10 @@ CAMERA = Camera.from_degrees(24, 16, 80.0, 1.1, pitch=10.0)
 NO_TOPICS = dict.fromkeys(("colour", "depth", "colour_info", "depth_info", "odometry"))
 
 
-def taken(count: int = 6) -> list[Taken]:
+def taken(count: int = 6) -> list[RecordedFrame]:
     rng = np.random.default_rng(0)
     return [
-        Taken(
+        RecordedFrame(
             BEGIN + number * TICK,
             Pose(0.1 * number, -0.2 * number, 0.3 * number),
             rng.integers(0, 256, (16, 24, 3), dtype=np.uint8),
@@ -73,7 +73,7 @@ def bag(path: Path, **changes: Any) -> BagRecording:
     return BagRecording(str(path), **(settings | changes))
 
 
-def check(recording: Recording, wanted: list[Taken], tolerance: float = 0.0) -> None:
+def check(recording: Recording, wanted: list[RecordedFrame], tolerance: float = 0.0) -> None:
     frames = Frames(recording)
     got = list(frames)
     assert frames.mapped == len(got) == len(wanted)
@@ -164,18 +164,18 @@ def test_compressed_float_depth_is_inverse(tmp_path: Path) -> None:
     np.testing.assert_allclose(got, depth, rtol=0.02)
 
 
-def test_a_bag_where_nothing_says_where_the_camera_sits(tmp_path: Path) -> None:
+def test_a_bag_without_the_transform_of_the_camera_to_the_robot(tmp_path: Path) -> None:
     def without(topics: list[Topic], _: int) -> list[Topic]:
         return [topic for topic in topics if topic[0] != "/tf_static"]
 
     record_bag(tmp_path / "drive", taken(), CAMERA, change=without)
-    with pytest.raises(UserError, match="recording.mount says where it sits"):
+    with pytest.raises(UserError, match="recording.mount"):
         bag(tmp_path / "drive")
     mount = {"frame": "base_link", "height": 1.1, "pitch": 10.0}
     check(bag(tmp_path / "drive", mount=mount), taken())
 
     def within_the_camera(topics: list[Topic], number: int) -> list[Topic]:
-        """As drivers publish it: the optical frame in camera_link, which nothing joins to the robot."""
+        """As drivers publish it: the optical frame in camera_link, without a transform to the robot."""
         optical = np.array([[0, 0, 1, 0.02], [-1, 0, 0, 0.015], [0, -1, 0, 0.01], [0, 0, 0, 1.0]])
         fixed = Messages(ROS2).transform(BEGIN, "camera_link", "camera_optical", optical)
         own = [("/tf_static", "tf2_msgs/msg/TFMessage", fixed)] if not number else []
@@ -183,7 +183,7 @@ def test_a_bag_where_nothing_says_where_the_camera_sits(tmp_path: Path) -> None:
 
     record_bag(tmp_path / "driver", taken(), CAMERA, change=within_the_camera)
     check(bag(tmp_path / "driver", mount=mount), taken())
-    with pytest.raises(UserError, match="expected frame, height in metres"):
+    with pytest.raises(UserError, match="mount: got .*base_link"):
         bag(tmp_path / "drive", mount={"frame": "base_link"})
 
 
@@ -240,11 +240,11 @@ def test_a_scannet_folder(tmp_path: Path) -> None:
     (tmp_path / "pose" / "1.txt").write_text("1 0 0")
     recording = ScanNetRecording(str(tmp_path), 1000.0, 10.0)
     assert [frame.stamp // TICK for frame in Frames(recording)] == [0, 3, 4]
-    assert recording.skipped == {"pose that is none": 1}
+    assert recording.skipped == {"invalid pose": 1}
     (tmp_path / "intrinsic" / "intrinsic_depth.txt").write_text("1 2\n3 4\n")
-    with pytest.raises(UserError, match="expected 4 x 4 or 3 x 3"):
+    with pytest.raises(UserError, match=r"intrinsic_depth.txt: got .*\(2, 2\)"):
         ScanNetRecording(str(tmp_path), 1000.0, 10.0)
-    with pytest.raises(UserError, match="holds no file named by a number"):
+    with pytest.raises(UserError, match="intrinsic: got no file"):
         ScanNetRecording(str(tmp_path / "intrinsic"), 1000.0, 10.0)
 
 
@@ -267,10 +267,10 @@ def test_lists_that_are_out_of_order_or_repeat_themselves(tmp_path: Path) -> Non
     assert frames.skipped == {
         "repeated time stamp in rgb.txt": 1,
         "time stamp out of order in rgb.txt": 1,
-        "pose that is none": 1,
+        "invalid pose": 1,
         "no pose at its time": 1,
     }
-    assert "4 frames mapped, 4 skipped" in frames.summary() and "1 x pose that is none" in frames.summary()
+    assert "4 frames mapped, 4 skipped" in frames.summary() and "1 x invalid pose" in frames.summary()
 
 
 def test_frames_out_of_order_are_skipped(tmp_path: Path) -> None:
@@ -285,7 +285,7 @@ def test_a_stray_pose_costs_its_frame(tmp_path: Path) -> None:
     drive = taken()
     drive[2] = drive[2]._replace(pose=Pose(40.0, 0.0, 0.0))
     record_folder(tmp_path / "plain", drive, CAMERA)
-    frames = Frames(FolderRecording(str(tmp_path / "plain")), max_speed=5.0)
+    frames = Frames(FolderRecording(str(tmp_path / "plain")))
     assert [(frame.stamp - BEGIN) // TICK for frame in frames] == [0, 1, 3, 4, 5]
     assert frames.skipped == {"jump of the pose": 1}
     assert (
@@ -294,7 +294,7 @@ def test_a_stray_pose_costs_its_frame(tmp_path: Path) -> None:
 
 
 def test_rows_that_are_damaged(tmp_path: Path) -> None:
-    """A pose that is none costs its frame, as in a TUM folder; what cannot be read ends the recording."""
+    """A frame with an invalid pose is skipped, as in a TUM folder; an unreadable row ends the recording."""
     folder = tmp_path / "plain"
     record_folder(folder, taken(4), CAMERA)
     head = "time,colour,depth,x,y,z,qx,qy,qz,qw"
@@ -302,14 +302,14 @@ def test_rows_that_are_damaged(tmp_path: Path) -> None:
     (folder / "frames.csv").write_text("\n".join([head, *rows]))
     frames = Frames(FolderRecording(str(folder)))
     assert [frame.stamp // 10**9 for frame in frames] == [0, 2, 3]
-    assert frames.skipped == {"pose that is none": 1}
-    for row, told in (
-        ("inf" + rows[3][1:], "time 'inf' is not finite"),
-        ("3,c3.png", "line 5: ends before time, colour and depth are given"),
+    assert frames.skipped == {"invalid pose": 1}
+    for row, expected in (
+        ("inf" + rows[3][1:], "line 5: time 'inf'"),
+        ("3,c3.png", "line 5: got too few columns"),
     ):
         (folder / "frames.csv").write_text("\n".join([head, *rows[:3], row]))
         got, message = until_broken(FolderRecording(str(folder)))
-        assert len(got) == 2 and told in message
+        assert len(got) == 2 and expected in message
 
 
 def test_a_depth_camera_and_distortion_of_a_tum_folder() -> None:
@@ -357,14 +357,11 @@ for scale in ("mm", "null"):
         Path(sys.argv[1], "camera.yaml").write_text(f"depth_scale: {scale}")
         FolderRecording(sys.argv[1])
     calls.append(read)
-for override in (
-    "threshold=abc", "limits.tilt=steep", "limits.mount_height=null", "limits.resolution=abc",
-    "limits.vertical_field_of_view=steep", "floor_height=low"
-):
+for override in ("threshold=abc", "floor_height=low"):
     config = compose("map", ["unit=a.onnx", override])
     calls.append(lambda config=config: configured.validate(config))
 class Units:
-    class description:
+    class spec:
         class ego:
             resolution = 0.1
 for overrides in (["extent=big"], ["extent=5", "centre=[1]"], ["extent=5", "centre=[x,y]"]):
@@ -379,17 +376,16 @@ for call in calls:
 
 
 def test_values_of_a_wrong_kind_get_one_message(tmp_path: Path) -> None:
-    """In a process without the tests' checker of types, which would refuse them first."""
+    """In a process without the type checker of the tests, which would raise first."""
     import subprocess
     import sys
 
     done = subprocess.run([sys.executable, "-c", UNTYPED, str(tmp_path)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    told = done.stdout.splitlines()
-    assert len(told) == 19 and all(": " in line for line in told), done.stdout
-    assert "threshold: got abc, expected a number in (0.0, 1.0]" in told
-    assert "limits.tilt: got steep, expected a number in [0.0, 180.0] degrees" in told
-    assert "centre: got [1], expected [x, y] in metres" in told
+    messages = done.stdout.splitlines()
+    assert len(messages) == 15 and all(": " in line for line in messages), done.stdout
+    assert "threshold: got abc," in done.stdout and "floor_height: got low," in done.stdout
+    assert "centre: got [1]," in done.stdout
 
 
 def test_association_is_the_closest_first() -> None:
@@ -417,18 +413,18 @@ def test_stamps_are_exact() -> None:
 
 def until_broken(recording: Recording) -> tuple[list[Frame], str]:
     got = []
-    with pytest.raises(BrokenRecordingError) as told:
+    with pytest.raises(BrokenRecordingError) as error:
         for frame in Frames(recording):
             got.append(frame)
-    return got, str(told.value)
+    return got, str(error.value)
 
 
 def test_a_corrupt_image_ends_it_where_it_is(tmp_path: Path) -> None:
     record_tum(tmp_path / "tum", taken(), CAMERA)
     image = tmp_path / "tum" / "depth" / f"{seconds(taken()[3].stamp)}.png"
     image.write_bytes(image.read_bytes()[:30])
-    got, told = until_broken(tum(tmp_path / "tum"))
-    assert len(got) == 3 and f"{image}: 30 bytes that are no image" in told
+    got, message = until_broken(tum(tmp_path / "tum"))
+    assert len(got) == 3 and f"{image}: got 30 bytes" in message
     image.unlink()
     assert "cannot be read (No such file" in until_broken(tum(tmp_path / "tum"))[1]
     listed = tmp_path / "tum" / "rgb.txt"
@@ -436,11 +432,11 @@ def test_a_corrupt_image_ends_it_where_it_is(tmp_path: Path) -> None:
     assert "cannot be read (embedded null byte)" in until_broken(tum(tmp_path / "tum"))[1]
     listed.write_text(listed.read_text().replace("\0", ""))
     cv2.imwrite(str(image), np.zeros((16, 24, 3), np.uint8))
-    assert "expected depth, one channel" in until_broken(tum(tmp_path / "tum"))[1]
+    assert f"{image}: got uint8" in until_broken(tum(tmp_path / "tum"))[1]
 
 
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
-def test_a_damaged_bag_gives_what_lies_before(tmp_path: Path, kind: str) -> None:
+def test_a_damaged_bag_gives_the_frames_before_the_damage(tmp_path: Path, kind: str) -> None:
     path = tmp_path / ("drive.bag" if kind == "ros1" else "drive")
     frames = taken(40)
     record_bag(path, frames, CAMERA, kind)
@@ -451,15 +447,15 @@ def test_a_damaged_bag_gives_what_lies_before(tmp_path: Path, kind: str) -> None
     start = data.rfind(b"camera_optical", 0, middle)
     data[start - 8 : start + 4] = b"\xff" * 12  # the length of the frame's name, among others
     file.write_bytes(data)
-    got, told = until_broken(bag(path))
+    got, message = until_broken(bag(path))
     assert 10 <= len(got) <= 25
     for frame, original in zip(got, frames, strict=False):
         np.testing.assert_array_equal(frame.rgb, original.rgb)
-    assert "damaged after" in told or "after its start" in told
+    assert "damaged after" in message or "after its start" in message
 
 
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
-def test_a_bag_that_was_cut_off_gives_what_is_left(tmp_path: Path, kind: str) -> None:
+def test_a_truncated_bag_gives_the_remaining_frames(tmp_path: Path, kind: str) -> None:
     """Cut in its only chunk; and a recorder that was killed before it wrote metadata.yaml."""
     path = tmp_path / ("drive.bag" if kind == "ros1" else "drive")
     frames = taken(60)
@@ -468,23 +464,24 @@ def test_a_bag_that_was_cut_off_gives_what_is_left(tmp_path: Path, kind: str) ->
     whole = file.read_bytes()
     file.write_bytes(whole[: round(0.7 * len(whole))])
     for place in {file, path}:
-        got, told = until_broken(bag(place))
+        got, message = until_broken(bag(place))
         assert 30 <= len(got) <= 45
         for frame, original in zip(got, frames, strict=False):
             assert frame.stamp == original.stamp
             np.testing.assert_array_equal(frame.rgb, original.rgb)
             np.testing.assert_array_equal(frame.depth, original.depth)
             np.testing.assert_allclose(frame.camera_to_world, CAMERA.to_world(original.pose), atol=1e-9)
-        assert f"{file.name} is cut off: " in told and f" {file.stat().st_size} bytes" in told
+        assert f"{file.name} is cut off: " in message and f" {file.stat().st_size} bytes" in message
         assert (
-            f"damaged after {2 * len(got)} messages" in told or f"after {2 * len(got) + 1} messages" in told
+            f"damaged after {2 * len(got)} messages" in message
+            or f"after {2 * len(got) + 1} messages" in message
         )
     if kind != "ros1":
         file.write_bytes(whole)
         (path / "metadata.yaml").unlink()
         check(bag(path), frames)
     file.write_bytes(whole[:100])
-    with pytest.raises(UserError, match="cannot be opened as a bag .* repair it with"):
+    with pytest.raises(UserError, match="(drive.bag|drive|noise.mcap): cannot be opened"):
         bag(path)
 
 
@@ -502,24 +499,26 @@ def test_the_files_of_a_split_bag_are_read_in_their_order(tmp_path: Path, kind: 
 
 
 @pytest.mark.parametrize("compression", ["none", "bz2", "lz4", "zstd"])
-def test_a_chunk_that_was_cut_off_unpacks_as_far_as_it_goes(compression: str) -> None:
+def test_a_truncated_chunk_is_decompressed_up_to_its_end(compression: str) -> None:
     import bz2
 
     import lz4.frame
 
-    from imagination.recordings.cut_bags import unpacked, zstd
+    from imagination.recordings.cut_bags import decompress, zstd
 
     pack = {"none": bytes, "bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd.compress}[compression]
     data = np.random.default_rng(0).integers(0, 99, 4_000_000, dtype=np.uint8).tobytes()
     packed = pack(data)
-    assert unpacked(compression, packed, len(data)) == data
-    part = unpacked(compression, packed[: len(packed) * 7 // 10], len(data))
+    assert decompress(compression, packed, len(data)) == data
+    part = decompress(compression, packed[: len(packed) * 7 // 10], len(data))
     assert 0.4 * len(data) < len(part) < 0.8 * len(data) and data.startswith(part)
 
 
 @pytest.mark.parametrize("compression", ["bz2", "lz4", "zstd"])
-def test_a_chunk_unpacks_to_no_more_than_it_states(compression: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither of MCAP nor of ROS 1, and none that lies in another."""
+def test_a_chunk_decompresses_to_at_most_its_stated_size(
+    compression: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of MCAP and of ROS 1, also for a nested chunk."""
     import bz2
 
     import lz4.frame
@@ -548,11 +547,11 @@ def test_a_chunk_unpacks_to_no_more_than_it_states(compression: str, monkeypatch
     ):
         whole = chunk(inner, len(inner))
         assert [record[-1] for record in records(BytesIO(whole))] == [message]
-        with pytest.raises(BrokenRecordingError, match="unpack to more than the 999 that it states"):
+        with pytest.raises(BrokenRecordingError, match="bytes of a chunk .* 999"):
             list(records(BytesIO(chunk(inner, 999))))
         assert [record[-1] for record in records(BytesIO(chunk(whole, len(whole))))] != [message]
         monkeypatch.setattr(cut_bags, "MAX_RECORD", len(whole))
-        with pytest.raises(BrokenRecordingError, match=f"at most {len(whole)}"):
+        with pytest.raises(BrokenRecordingError, match=f"bytes of a chunk .* {len(whole)}"):
             list(records(BytesIO(whole)))
         monkeypatch.undo()
 
@@ -569,7 +568,7 @@ def test_one_damaged_transform_costs_only_itself(tmp_path: Path) -> None:
     database.close()
     recording = bag(tmp_path / "drive")
     assert len(list(Frames(recording))) == 30  # between its neighbours the pose is interpolated
-    assert recording.skipped == {"message of /tf that cannot be read": 1}
+    assert recording.skipped == {"undecodable message of /tf": 1}
 
 
 def test_a_bag_of_before_tf2(tmp_path: Path) -> None:
@@ -597,12 +596,16 @@ def test_frames_and_topics_that_the_user_gives(tmp_path: Path) -> None:
     assert recording.world == "odom"
     check(recording, taken(2))
     image = "/camera/color/image_raw"
-    for role, topic, told in (
-        ("colour", "/tf", "recording.topics.colour: got /tf, which holds tf2_msgs/msg/TFMessage, expected"),
-        ("colour_info", image, "which holds sensor_msgs/msg/Image, expected sensor_msgs/msg/CameraInfo"),
-        ("odometry", image, "which holds sensor_msgs/msg/Image, expected nav_msgs/msg/Odometry"),
+    for role, topic, expected in (
+        ("colour", "/tf", "recording.topics.colour: got /tf .*tf2_msgs/msg/TFMessage"),
+        (
+            "colour_info",
+            image,
+            "recording.topics.colour_info: got .*sensor_msgs/msg/Image, expected .*CameraInfo",
+        ),
+        ("odometry", image, "recording.topics.odometry: got .*sensor_msgs/msg/Image, expected .*Odometry"),
     ):
-        with pytest.raises(UserError, match=told):
+        with pytest.raises(UserError, match=expected):
             bag(tmp_path / "drive", topics=NO_TOPICS | {role: topic})
 
 
@@ -614,23 +617,21 @@ def test_a_message_that_is_no_image_ends_it_with_its_place(tmp_path: Path) -> No
         return topics
 
     record_bag(tmp_path / "drive", taken(), CAMERA, change=shorten)
-    got, told = until_broken(bag(tmp_path / "drive"))
+    got, message = until_broken(bag(tmp_path / "drive"))
     assert len(got) == 4
-    assert "0.400 s after its start: Image: got 1145 bytes for 24 x 16 pixels of rgb8 in steps of 72" in told
+    assert "0.400 s after its start: Image: got 1145 bytes for 24 x 16 pixels of rgb8" in message
 
 
 def test_bags_that_cannot_be_read_at_all(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="there is no such bag"):
+    with pytest.raises(UserError, match="recording.path: got .*none.bag"):
         bag(tmp_path / "none.bag")
     (tmp_path / "noise.mcap").write_bytes(bytes(range(256)) * 20)
-    with pytest.raises(UserError, match="cannot be opened as a bag .* repair it with"):
+    with pytest.raises(UserError, match="(drive.bag|drive|noise.mcap): cannot be opened"):
         bag(tmp_path / "noise.mcap")
     record_bag(tmp_path / "drive", taken(2), CAMERA)
-    with pytest.raises(
-        UserError, match=r"got /camera/rgb, expected topics of the bag: /camera/color/camera_info"
-    ):
+    with pytest.raises(UserError, match=r"recording.topics: got /camera/rgb, .*/camera/color/camera_info"):
         bag(tmp_path / "drive", topics=NO_TOPICS | {"colour": "/camera/rgb"})
-    with pytest.raises(UserError, match="its frames are camera_optical in base_link in odom in map"):
+    with pytest.raises(UserError, match="'earth'.*camera_optical in base_link in odom in map"):
         bag(tmp_path / "drive", world="earth")
     record_bag(
         tmp_path / "blind",
@@ -638,14 +639,12 @@ def test_bags_that_cannot_be_read_at_all(tmp_path: Path) -> None:
         CAMERA,
         change=lambda topics, _: [t for t in topics if "depth" not in t[0]],
     )
-    with pytest.raises(
-        UserError, match=r"recording.topics.depth: found none, expected one; set it. The bag holds"
-    ):
+    with pytest.raises(UserError, match=r"recording.topics.depth: got none"):
         bag(tmp_path / "blind")
     record_bag(
         tmp_path / "lost", taken(2), CAMERA, change=lambda topics, _: [t for t in topics if "/tf" not in t[0]]
     )
-    with pytest.raises(UserError, match="recording.topics.odometry: found none"):
+    with pytest.raises(UserError, match="recording.topics.odometry: got none"):
         bag(tmp_path / "lost")
 
 
@@ -658,28 +657,26 @@ def test_depth_with_holes_and_of_every_kind(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "d.png"), np.array([[5000, 65535]], np.uint16))
     np.testing.assert_allclose(read_depth(tmp_path / "d.png", 5000.0), [[1.0, 13.107]])
     np.save(tmp_path / "d.npy", np.zeros((2, 2, 2), np.float32))
-    with pytest.raises(BrokenRecordingError, match="expected rows x columns"):
+    with pytest.raises(BrokenRecordingError, match="d.npy: got"):
         read_depth(tmp_path / "d.npy", 1000.0)
 
 
-def test_a_small_file_that_unpacks_to_a_large_image_is_refused() -> None:
+def test_a_small_file_of_a_large_image_is_refused() -> None:
     from imagination.recordings.images import decode_colour
 
     data = bytearray(cv2.imencode(".png", np.zeros((9, 9, 3), np.uint8))[1].tobytes())
     data[16:24] = (60_000).to_bytes(4, "big") * 2
     data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
-    with pytest.raises(
-        BrokenRecordingError, match="x: got 60000 x 60000 pixels, expected at most 8192 a side"
-    ):
+    with pytest.raises(BrokenRecordingError, match="x: got 60000 x 60000 pixels, .*8192"):
         decode_colour(bytes(data), "x")
 
 
 def test_broken_folders_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="a TUM folder has rgb.txt, depth.txt and groundtruth.txt"):
+    with pytest.raises(UserError, match="rgb.txt: cannot be read"):
         tum(tmp_path)
     for name in ("rgb", "depth", "groundtruth"):
         (tmp_path / f"{name}.txt").write_text("# nothing\n")
-    with pytest.raises(UserError, match="holds no entry"):
+    with pytest.raises(UserError, match="rgb.txt: got no entry"):
         tum(tmp_path)
     (tmp_path / "rgb.txt").write_text("yesterday rgb/1.png\n")
     with pytest.raises(UserError, match=r"rgb.txt, line 1: got 'yesterday rgb/1.png'"):
@@ -691,13 +688,13 @@ def test_broken_folders_are_refused(tmp_path: Path) -> None:
         with pytest.raises(UserError, match=r"camera.yaml: cannot be read"):
             FolderRecording(str(tmp_path))
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump({"colour": {"width": 24}}))
-    with pytest.raises(UserError, match="holds a value that cannot be read"):
+    with pytest.raises(UserError, match="camera.yaml: a value cannot be read"):
         FolderRecording(str(tmp_path))
     colour = {"width": 24, "height": 16, "fx": 20.0, "fy": -20.0, "cx": 11.5, "cy": 7.5}
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump({"colour": colour}))
     (tmp_path / "frames.csv").write_text("time,colour,depth\n1,a,b\n")
-    with pytest.raises(UserError, match="expected time, colour, depth and x, y, theta or x, y, z, qx"):
+    with pytest.raises(UserError, match="frames.csv: got 1 rows"):
         FolderRecording(str(tmp_path))
-    with pytest.raises(UserError, match="got the unknown keys colr"):
+    with pytest.raises(UserError, match="got .* colr"):
         camera_of({"colour": colour, "colr": 1})
     assert camera_of({"colour": colour}).colour.fy == -20.0

@@ -1,4 +1,4 @@
-"""Messages that come one by one: which belong together, and what cameras they tell of."""
+"""Pairing of streamed messages, and intrinsics of CameraInfo."""
 
 from typing import Any
 
@@ -14,16 +14,16 @@ from imagination.utils.errors import UserError
 from tests.helpers.robot import ROS1, ROS2, Messages
 
 TICK = SECOND // 60
-"""Between two images of one kind, less than the tolerance of pairs."""
+"""Interval of images of one kind, nanoseconds; smaller than the tolerance of pairs."""
 
 
 def paired(messages: list[tuple[str, int]], **settings: Any) -> tuple[list[tuple[int, int]], int]:
-    """Times of colour and depth of all pairs, and how many messages stay alone."""
+    """Time stamps (colour, depth) of all pairs, and the number of unpaired messages."""
     pairing: Pairing[int] = Pairing(0.02, **settings)
     found = [pair for kind, stamp in messages for pair in pairing.add(kind, stamp, stamp)]
-    found += pairing.rest()
+    found += pairing.flush()
     assert all(stamp == colour for stamp, colour, _ in found)
-    return [(colour, depth) for _, colour, depth in found], pairing.alone
+    return [(colour, depth) for _, colour, depth in found], pairing.unpaired
 
 
 @pytest.mark.parametrize("lost", ["colour", "depth"])
@@ -43,7 +43,7 @@ def test_equal_times_do_not_wait() -> None:
     waits=st.integers(0, 3),
 )
 def test_cameras_that_are_not_in_step(late: float, lost: set[tuple[str, int]], waits: int) -> None:
-    """Whatever is lost and however much later one kind comes, frames pair with their own or not at all."""
+    """With any lost images and any delay of one kind, images pair with their partner or not at all."""
     times = {
         "colour": [n * TICK for n in range(20) if ("colour", n) not in lost],
         "depth": [round((n + late) * TICK) for n in range(20) if ("depth", n) not in lost],
@@ -76,8 +76,8 @@ def test_images_that_are_far_apart_pair_as_others_do() -> None:
     assert len(paired(late)[0]) == 6
 
 
-def test_what_waits_for_ever_is_given_up() -> None:
-    assert paired([("depth", n * TICK) for n in range(100)], most=5) == ([], 100)
+def test_waiting_messages_are_dropped_beyond_the_limit() -> None:
+    assert paired([("depth", n * TICK) for n in range(100)], max_waiting=5) == ([], 100)
 
 
 @pytest.mark.parametrize("store", [ROS1, ROS2])
@@ -99,7 +99,7 @@ def test_rectified_images_have_another_matrix_and_no_distortion(store: Any) -> N
     assert intrinsics_of(info, rectified=True) == raw
 
 
-def test_topics_say_whether_images_are_rectified() -> None:
+def test_rectified_images_are_detected_by_the_topic_name() -> None:
     assert is_rectified("/camera/depth/image_rect_raw", None) and is_rectified(
         "/c/image_rect/compressed", None
     )

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from imagination.recordings.pose_filters import Jumps, Order
+from imagination.recordings.pose_filters import MAX_SPEED, Jumps, Order
 from imagination.recordings.tf_tree import Transforms
 from imagination.recordings.trajectory import SECOND, Trajectory, interpolate, matrix_of
 from imagination.utils.errors import UserError
@@ -18,14 +18,14 @@ def rigid(place: list[float], turn: Rotation) -> np.ndarray:
     return matrix
 
 
-@given(one=angles, other=angles, share=st.floats(0, 1))
-def test_interpolation_is_scipys(one: list[float], other: list[float], share: float) -> None:
+@given(one=angles, other=angles, fraction=st.floats(0, 1))
+def test_interpolation_agrees_with_scipy(one: list[float], other: list[float], fraction: float) -> None:
     ends = Rotation.from_rotvec([one, other])
     if (ends[0].inv() * ends[1]).magnitude() > np.pi - 1e-3:
-        return  # half a turn: both ways round are as short
-    got = interpolate(rigid([0, 1, 2], ends[0]), rigid([4, 1, -2], ends[1]), share)
-    np.testing.assert_allclose(got[:3, :3], Slerp([0, 1], ends)(share).as_matrix(), atol=1e-6)
-    np.testing.assert_allclose(got[:3, 3], [4 * share, 1, 2 - 4 * share], atol=1e-9)
+        return  # half a turn: two shortest rotations
+    got = interpolate(rigid([0, 1, 2], ends[0]), rigid([4, 1, -2], ends[1]), fraction)
+    np.testing.assert_allclose(got[:3, :3], Slerp([0, 1], ends)(fraction).as_matrix(), atol=1e-6)
+    np.testing.assert_allclose(got[:3, 3], [4 * fraction, 1, 2 - 4 * fraction], atol=1e-9)
 
 
 def test_half_a_turn_is_a_rotation_all_the_way() -> None:
@@ -41,19 +41,19 @@ def test_half_a_turn_is_a_rotation_all_the_way() -> None:
         lambda q: 0.6 < np.linalg.norm(q) < 1.9
     )
 )
-def test_matrices_are_scipys(quaternion: list[float]) -> None:
+def test_matrices_agree_with_scipy(quaternion: list[float]) -> None:
     np.testing.assert_allclose(
         matrix_of((1, 2, 3), quaternion), rigid([1, 2, 3], Rotation.from_quat(quaternion)), atol=1e-9
     )
 
 
-def test_poses_that_are_none() -> None:
+def test_invalid_poses_are_refused() -> None:
     for place, turn in (
         ((0, 0, np.nan), (0, 0, 0, 1)),
         ((0, 0, 0), (0, 0, 0, 0)),
         ((0, 0, 0), (np.inf, 0, 0, 1)),
     ):
-        with pytest.raises(UserError, match="expected metres and a unit quaternion"):
+        with pytest.raises(UserError, match="pose: got"):
             matrix_of(place, turn)
 
 
@@ -84,18 +84,18 @@ def test_only_the_recent_past_is_kept() -> None:
     assert len(trajectory) == 6
 
 
-def test_a_stray_time_costs_nothing_and_a_clock_that_was_set_anew_is_followed() -> None:
+def test_an_outlier_is_refused_and_a_clock_reset_is_followed() -> None:
     live = Trajectory(max_gap=1.0, keep=30.0)
     for second in range(10):
         live.add((1000 + second) * 10**9, shifted(second))
     for stray in (2**31 - 1, 0):
-        with pytest.raises(UserError, match=rf"got the time {stray}.000 s, expected one at most 2.0 s"):
+        with pytest.raises(UserError, match=rf"pose: got the time {stray}.000 s"):
             live.add(stray * 10**9, shifted(0))
         live.add((1010 + (not stray)) * 10**9, shifted(10))
     assert len(live) == 12 and live.at(1009_500_000_000) is not None
-    with pytest.raises(UserError, match="check the clocks"):
+    with pytest.raises(UserError, match="pose: got the time 1000.000 s"):
         live.add(1000 * 10**9, shifted(50))
-    live.add(1001 * 10**9, shifted(51))  # the second that says so
+    live.add(1001 * 10**9, shifted(51))  # the second one confirms the reset
     assert len(live) == 2
     found = live.at(1000_500_000_000)
     assert found is not None and found[0, 3] == pytest.approx(50.5)
@@ -117,54 +117,47 @@ def test_a_tree_of_frames() -> None:
     np.testing.assert_allclose(found @ [1, 0, 0, 1], [12, 1, 0, 1])
     assert transforms.ancestors("camera") == ["camera", "base", "odom", "map"]
     assert transforms.at("map", "camera", 2 * 10**9) is None
-    with pytest.raises(UserError, match="its frames are camera in base in odom in map"):
+    with pytest.raises(UserError, match="'camera' .*'earth'.*camera in base in odom in map"):
         transforms.at("earth", "camera", 0)
-    with pytest.raises(UserError, match="frame 'base' is in 'odom' and in 'map'"):
+    with pytest.raises(UserError, match="'base' .*'odom' and 'map'"):
         transforms.add("map", "base", 0, np.eye(4), fixed=True)
-    with pytest.raises(UserError, match="its own ancestor"):
+    with pytest.raises(UserError, match="tf: frame 'map'"):
         transforms.add("camera", "map", 0, np.eye(4), fixed=True)
     transforms.add("base", "depth", 0, shifted(1.0), fixed=True)
     np.testing.assert_allclose(transforms.between("depth", "camera") @ [0, 1, 0, 1], [1, 0, 0, 1], atol=1e-12)
-    with pytest.raises(UserError, match="move against each other"):
+    with pytest.raises(UserError, match="tf: 'depth' and 'map'"):
         transforms.between("depth", "map")
-    with pytest.raises(UserError, match="nothing joins"):
+    with pytest.raises(UserError, match="tf: 'depth' and 'lidar'"):
         transforms.between("depth", "lidar")
 
 
-def test_a_stray_pose_is_left_out_and_a_relocalised_robot_believed() -> None:
-    jumps = Jumps(2.0)
-
-    def believed(places: list[float]) -> list[bool]:
-        found = []
+def test_an_outlier_pose_is_refused_and_a_relocalised_robot_is_accepted() -> None:
+    def accepted(places: list[float]) -> list[bool]:
+        jumps, found = Jumps(), []
         for number, x in enumerate(places):
             try:
                 jumps.check(number * SECOND // 10, shifted(x))
                 found.append(True)
             except UserError as error:
-                assert "expected at most 2.0 m/s" in str(error)
+                assert str(error).startswith("pose: got") and f"at most {MAX_SPEED} m/s" in str(error)
                 found.append(False)
         return found
 
-    assert believed([0.0, 0.1, 9.0, 0.3, 0.4]) == [True, True, False, True, True]
-    jumps = Jumps(2.0)
-    assert believed([0.0, 9.0, 9.1, 9.2]) == [True, False, True, True]
-    jumps = Jumps(2.0)
-    assert believed([0.0, 9.0, -9.0, 0.2]) == [True, False, False, True]
-    jumps = Jumps(None)
-    assert believed([0.0, 9.0, -9.0]) == [True, True, True]
-    with pytest.raises(UserError, match="max_speed: got 0"):
-        Jumps(0.0)
+    assert accepted([0.0, 0.1, 9.0, 0.3, 0.4]) == [True, True, False, True, True]
+    assert accepted([0.0, 9.0, 9.1, 9.2]) == [True, False, True, True]
+    assert accepted([0.0, 9.0, -9.0, 0.2]) == [True, False, False, True]
+    assert accepted([0.0, 0.9, 2.0]) == [True, True, False]  # 0.5 m and 5 m/s over 0.1 s
 
 
-def test_a_stray_time_costs_itself_and_one_more() -> None:
-    def kept(seconds: list[float]) -> list[float]:
+def test_an_outlier_time_stamp_costs_itself_and_one_more() -> None:
+    def in_order(seconds: list[float]) -> list[float]:
         order = Order()
         return [second for second in seconds if not order.fault(round(second * SECOND))]
 
-    assert kept([0, 1, 1, 2, 1.5, 3]) == [0, 1, 2, 3]
-    assert kept([0, 1, 9000, 2, 3, 4, 5]) == [0, 1, 9000, 3, 4, 5]
-    assert kept([100, 101, 0, 102, 1, 103]) == [100, 101, 102, 103]  # single ones are stray themselves
-    assert kept([100, 101, 0, 1, 2]) == [100, 101, 1, 2]  # the clock was set anew
+    assert in_order([0, 1, 1, 2, 1.5, 3]) == [0, 1, 2, 3]
+    assert in_order([0, 1, 9000, 2, 3, 4, 5]) == [0, 1, 9000, 3, 4, 5]
+    assert in_order([100, 101, 0, 102, 1, 103]) == [100, 101, 102, 103]  # single outliers
+    assert in_order([100, 101, 0, 1, 2]) == [100, 101, 1, 2]  # clock reset
     order = Order()
     assert [order.fault(stamp) for stamp in (5, 5, 4)] == [
         "",
@@ -173,11 +166,11 @@ def test_a_stray_time_costs_itself_and_one_more() -> None:
     ]
 
 
-def test_frames_are_not_named_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_frames_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imagination.recordings.tf_tree.MAX_FRAMES", 3)
     transforms = Transforms(0.5)
     for number in range(3):
         transforms.add("map", f"track_{number}", 0, np.eye(4), fixed=False)
-    with pytest.raises(UserError, match="'track_3' beside 3 others"):
+    with pytest.raises(UserError, match="got frame 'track_3'"):
         transforms.add("map", "track_3", 0, np.eye(4), fixed=False)
     transforms.add("map", "track_0", SECOND, np.eye(4), fixed=False)

@@ -1,4 +1,4 @@
-"""Figures show what the maps say: curves by brute force, the median run, arrows and bars in the map's frame."""
+"""Figures agree with the maps: curves by brute force, the median trial, arrows and bars in the map's frame."""
 
 from pathlib import Path
 
@@ -10,7 +10,13 @@ from matplotlib.figure import Figure
 from imagination.evaluation.trials import Trial
 from imagination.geometry.grid import Grid
 from imagination.reporting.content import of_run
-from imagination.reporting.figures.maps import draw_poses, draw_scale_bar
+from imagination.reporting.figures.maps import (
+    counts_by_threshold,
+    draw_poses,
+    draw_scale_bar,
+    draw_viewpoints,
+    typical,
+)
 from imagination.reporting.figures.scores import precision_recall, reliability
 from imagination.reporting.html import drawings
 from imagination.reporting.load_run import Results
@@ -19,15 +25,15 @@ from tests.conftest import ROOT
 from tests.helpers.run_folders import make_folder, make_maps
 
 
-def test_tallies_count_every_threshold() -> None:
+def test_maps_are_counted_at_every_threshold() -> None:
     rng = np.random.default_rng(1)
     maps = [make_maps(Trial(scene, 3.0, 0), rng) for scene in ("test_0000", "test_0002")]
-    confusion_counts = maps.tallies(maps)["mine", "bed"]  # test_0002 has no bed
-    level, truth = maps[0].level[3, 1], maps[0].truth[1]
+    counts = counts_by_threshold(maps)["mine", "bed"]  # test_0002 has no bed
+    level, gt = maps[0].level[3, 1], maps[0].truth[1]
     for step in (1, 30, 99):
         predicted = level >= step
-        expected = [(predicted & truth).sum(), (predicted & ~truth).sum(), truth.sum()]
-        assert confusion_counts[step - 1].tolist() == expected
+        expected = [(predicted & gt).sum(), (predicted & ~gt).sum(), gt.sum()]
+        assert counts[step - 1].tolist() == expected
 
 
 def test_precision_recall_and_reliability_by_brute_force() -> None:
@@ -49,16 +55,16 @@ def test_precision_recall_and_reliability_by_brute_force() -> None:
     assert np.abs(means - shares).max() < 0.08
 
 
-def test_the_typical_run_is_the_median() -> None:
+def test_the_typical_trial_is_the_median() -> None:
     rng = np.random.default_rng(3)
     maps = [make_maps(Trial("test_0000", 2.0, number), rng) for number in range(5)]
     scores = []
     for saved in maps:
-        predicted, truth = saved.predicted[2, 0], saved.truth[0]
-        scores.append((predicted & truth).sum() / (predicted | truth).sum())
-    found = maps.typical(maps, "chair", 2.0)
-    assert found is not None and found.run.number == int(np.argsort(scores)[2])
-    assert maps.typical(maps, "chair", 3.0) is None
+        predicted, gt = saved.predicted[2, 0], saved.truth[0]
+        scores.append((predicted & gt).sum() / (predicted | gt).sum())
+    median = typical(maps, "chair", 2.0)
+    assert median is not None and median.trial.number == int(np.argsort(scores)[2])
+    assert typical(maps, "chair", 3.0) is None
 
 
 def test_maps_are_the_right_way_up_and_to_scale() -> None:
@@ -101,7 +107,7 @@ def test_every_figure_of_a_folder_is_drawn_in_both_themes(tmp_path: Path) -> Non
         figure = next(drawings(content)).draw()
         assert figure.get_facecolor() != (1, 1, 1, 1)
         axis = figure.axes[0]
-        assert axis.get_xlabel() == "cell width, m" and axis.get_ylabel() == "IoU of a run"
+        assert axis.get_xlabel() == "cell width, m" and axis.get_ylabel() == "IoU of a trial"
 
 
 def test_every_approach_that_we_evaluate_has_a_name_a_meaning_and_a_colour() -> None:
@@ -114,7 +120,7 @@ def test_every_approach_that_we_evaluate_has_a_name_a_meaning_and_a_colour() -> 
 
 
 def test_each_viewpoint_set_is_drawn_once() -> None:
-    """Two of the widest cell width and one of the narrowest; with one width, as a sweep's members have, two of it."""
+    """Two of the widest cell width and one of the narrowest; with one width, as in a sweep's jobs, two of it."""
     rng = np.random.default_rng(4)
     maps = [
         make_maps(Trial("test_0000", width, number), rng) for width in (3.0, 2.5, 2.0) for number in (0, 1)
@@ -123,5 +129,5 @@ def test_each_viewpoint_set_is_drawn_once() -> None:
         (maps, ["3 m, set 0", "3 m, set 1", "2 m, set 0"]),
         (maps[:2], ["3 m, set 0", "3 m, set 1"]),
     ):
-        titles = [axis.get_title().partition("\n")[0] for axis in maps.draw_viewpoints(some).axes]
-        assert titles == [f"test_0000, cell width {told}" for told in shown]
+        titles = [axis.get_title().partition("\n")[0] for axis in draw_viewpoints(some).axes]
+        assert titles == [f"test_0000, cell width {title}" for title in shown]

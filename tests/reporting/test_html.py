@@ -1,4 +1,4 @@
-"""The page: whole, escaped, the same bytes each time, and right in a real browser."""
+"""The page: complete, escaped, reproducible byte by byte, and correct in a browser."""
 
 import re
 import shutil
@@ -23,7 +23,7 @@ VOID = {"meta", "img", "source", "br", "link"}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with its report."""
+    """Results folder with its report."""
     made = make_folder(
         tmp_path_factory.mktemp("made") / "run", note=EVIL, seed=EVIL, choices=[f"+experiment={EVIL}"]
     )
@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Tree(HTMLParser):
-    """Checks that elements are closed in order, and keeps what they refer to."""
+    """Parser that checks the nesting of elements and collects their references."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ def test_everything_that_comes_from_files_is_escaped(folder: Path) -> None:
     assert text.count("&lt;script&gt;alert") >= 4  # config, seed, command, table
 
 
-def test_tables_and_figures_lie_beside_the_page(folder: Path) -> None:
+def test_tables_and_figures_are_written_with_the_page(folder: Path) -> None:
     for stem in ("iou", "correct_pixels", "paired_iou", "paired_correct_pixels"):
         for kind in ("csv", "md", "tex"):
             assert (folder / "tables" / f"{stem}.{kind}").stat().st_size > 100
@@ -92,11 +92,11 @@ def test_an_incomplete_folder_is_marked(folder: Path, tmp_path: Path) -> None:
     (copy / "single_views.npz").unlink()
     (copy / "tables" / "thresholds.csv").unlink()
     text = html.html(read(copy))
-    assert '<div class="problems"' in text and "runs missing" in text and "maps/ is missing" in text
+    assert '<div class="problems"' in text and "trials missing" in text and "maps/ is missing" in text
     assert '<div class="problems"' not in (folder / "report.html").read_text()
 
 
-def test_names_from_tables_lead_nowhere(tmp_path: Path) -> None:
+def test_names_from_tables_are_safe_file_names(tmp_path: Path) -> None:
     """Categories become names of files."""
     evil = Drawing("single_/../../../x", "A caption.", Figure)
     long = Drawing("ö" * 300, "Another.", Figure)
@@ -124,7 +124,7 @@ def test_a_page_for_the_docs(folder: Path, tmp_path: Path) -> None:
     assert "| Imagination |" in text and "--docs docs/study" in text and "![" in text
 
 
-def test_the_command_tells_mistakes_shortly(command: Command) -> None:
+def test_the_command_reports_user_errors_briefly(command: Command) -> None:
     done = command("report", "nowhere")
     assert done.returncode == 2 and done.stderr.startswith("error: report: got nowhere")
 
@@ -142,8 +142,8 @@ def test_in_a_browser_nothing_overflows_and_every_picture_loads(
         for width in widths
     )
     probe.write_text(
-        f"""<body style="margin:0;width:1800px">{frames}<p id="told"></p><script>
-        window.onload = () => {{ told.textContent = [...document.querySelectorAll("iframe")].map(frame => {{
+        f"""<body style="margin:0;width:1800px">{frames}<p id="result"></p><script>
+        window.onload = () => {{ result.textContent = [...document.querySelectorAll("iframe")].map(frame => {{
           const page = frame.contentDocument, root = page.documentElement;
           const pictures = [...page.images];
           const text = page.querySelector("h1").getBoundingClientRect();
@@ -161,10 +161,10 @@ def test_in_a_browser_nothing_overflows_and_every_picture_loads(
     done = subprocess.run(
         [BROWSER, *options, "--dump-dom", probe.as_uri()], capture_output=True, text=True, timeout=120
     )
-    found = re.search(r'<p id="told">([^<]+)</p>', done.stdout)
+    found = re.search(r'<p id="result">([^<]+)</p>', done.stdout)
     assert found, done.stderr
-    for width, told in zip(widths, found.group(1).split(" ; "), strict=True):
-        scrolled, pictures, loaded, background, tiny = told.split(" / ")
+    for width, measured in zip(widths, found.group(1).split(" ; "), strict=True):
+        scrolled, pictures, loaded, background, tiny = measured.split(" / ")
         assert int(scrolled) <= width, f"the page is {scrolled} wide in {width}"
         assert int(pictures) == int(loaded) > 10
         assert background == ("rgb(15, 19, 25)" if dark else "rgb(244, 246, 248)")

@@ -1,6 +1,7 @@
-"""What a folder lacks is told and the rest is read; what is damaged is named."""
+"""Missing and damaged parts of a folder are reported and the rest is read."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ def problems(folder: Path) -> str:
     return "\n".join(read(folder).problems)
 
 
-def test_missing_runs_are_told(tmp_path: Path) -> None:
+def test_missing_trials_are_reported(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run")
     table = folder / "tables" / "trials.csv"
     kept = [
@@ -31,19 +32,16 @@ def test_missing_runs_are_told(tmp_path: Path) -> None:
         if not line.startswith("imagination,chair,2,test_0001")
     ]
     table.write_text("\n".join(line for line in kept if not line.startswith("mine,bed,3")) + "\n")
-    told = problems(folder)
-    assert (
-        "imagination, chair, cell width 2 m: 2 of 6 runs missing (test_0001 set 0, test_0001 set 1)" in told
-    )
-    assert "mine, bed, cell width 3 m: 4 of 4 runs missing (test_0000 set 0" in told
-    assert len(told.splitlines()) == 2
+    first, second = problems(folder).splitlines()
+    assert re.search(r"imagination, chair, .*2 m: 2 of 6 .*test_0001 set 0, test_0001 set 1", first)
+    assert re.search(r"mine, bed, .*3 m: 4 of 4 .*test_0000 set 0", second)
     stems = {table.stem for section in read(folder).sections for table in section.layouts}
     assert "iou" in stems
 
 
-def test_a_category_without_runs_is_told(tmp_path: Path) -> None:
+def test_a_category_without_trials_is_reported(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run", unit_categories=["chair", "bed", "sofa"])
-    assert problems(folder) == "sofa: no run of any approach"
+    assert problems(folder).startswith("sofa: ") and "\n" not in problems(folder)
 
 
 def test_without_its_table_an_evaluation_is_counted_from_the_maps_so_far(tmp_path: Path) -> None:
@@ -52,11 +50,11 @@ def test_without_its_table_an_evaluation_is_counted_from_the_maps_so_far(tmp_pat
     (folder / "tables" / "trials.csv").unlink()
     (folder / "maps" / "test_0002_2m_1.npz").unlink()
     results = Results(folder)
-    for key, runs in whole.items():
-        for run, counts in results.counts[key].items():
-            assert (counts == runs[run]).all()
-    told = "\n".join(results.problems)
-    assert "counted again from the maps" in told and "test_0002 set 1" in told
+    for key, trials in whole.items():
+        for trial, counts in results.counts[key].items():
+            assert (counts == trials[trial]).all()
+    messages = "\n".join(results.problems)
+    assert "trials.csv is missing" in messages and "maps" in messages and "test_0002 set 1" in messages
 
 
 @pytest.mark.parametrize(
@@ -77,21 +75,21 @@ def test_damaged_files_are_named_and_the_rest_is_shown(tmp_path: Path, name: str
 
 @pytest.mark.parametrize("name", ["maps/test_0000_3m_0.npz", "single_views.npz"])
 def test_a_single_wrong_bit_is_named(tmp_path: Path, name: str) -> None:
-    """In compressed data zlib finds some of them, where it raises errors of its own."""
+    """In compressed data zlib detects some of them and raises errors of various types."""
     folder = make_folder(tmp_path / "run")
     whole = (folder / name).read_bytes()
     named = 0
     for place in range(60, len(whole), 397):  # in headers of the archive some change nothing
         (folder / name).write_bytes(whole[:place] + bytes([whole[place] ^ 8]) + whole[place + 1 :])
         results = Results(folder)
-        there = len(results.maps) == 12 and bool(results.singles[0])
-        named += f"{name} is damaged and left out" in "".join(results.problems)
-        assert there != bool(results.problems)
+        complete = len(results.maps) == 12 and bool(results.single_views[0])
+        named += f"{name} is damaged" in "".join(results.problems)
+        assert complete != bool(results.problems)
     assert named > len(whole) // 397 / 2
 
 
 @pytest.mark.parametrize(
-    ("name", "array", "wrong", "told"),
+    ("name", "array", "wrong", "message"),
     [
         ("maps/test_0000_3m_0.npz", "truth", np.zeros((2, 30, 41), bool), "truth: got bool of shape (2, 30, 41)"),
         ("maps/test_0000_3m_0.npz", "level", np.zeros((4, 2, 30, 40)), "level: got float64"),
@@ -113,44 +111,44 @@ def test_a_single_wrong_bit_is_named(tmp_path: Path, name: str) -> None:
     ],
 )  # fmt: skip
 def test_arrays_that_do_not_fit_are_named(
-    tmp_path: Path, name: str, array: str, wrong: np.ndarray, told: str
+    tmp_path: Path, name: str, array: str, wrong: np.ndarray, message: str
 ) -> None:
     folder = make_folder(tmp_path / "run")
     with np.load(folder / name) as file:
         arrays = dict(file)
     np.savez_compressed(folder / name, **{**arrays, array: wrong})
     (problem,) = {line for line in read(folder).problems if line.startswith(f"{name} is damaged")}
-    assert told in problem
+    assert message in problem
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "told"),
+    ("name", "old", "new", "message"),
     [
         ("trials.csv", "seg_gt,chair,3,", "seg_gt,chair,nan,", "cell_width: got nan"),
         ("trials.csv", "seg_gt,chair,3,", "seg_gt,chair,0.5e9,", "cell_width: got 500000000.0"),
-        ("trials.csv", ",70\n", f",{10**30}\n", f"{10**30} truth pixels"),
-        ("trials.csv", ",70\n", ",-70\n", "-70 truth pixels"),
-        ("thresholds.csv", ",150\n", ",50\n", "and 50 truth cells"),
+        ("trials.csv", ",70\n", f",{10**30}\n", f"{10**30} ground-truth pixels"),
+        ("trials.csv", ",70\n", ",-70\n", "-70 ground-truth pixels"),
+        ("thresholds.csv", ",150\n", ",50\n", "50 ground-truth cells"),
     ],
 )
-def test_counts_that_are_none_are_named(tmp_path: Path, name: str, old: str, new: str, told: str) -> None:
+def test_invalid_counts_are_named(tmp_path: Path, name: str, old: str, new: str, message: str) -> None:
     folder = make_folder(tmp_path / "run")
     table = folder / "tables" / name
     assert old in table.read_text()
     table.write_text(table.read_text().replace(old, new, 1))
     (problem,) = {line for line in read(folder).problems if line.startswith(f"tables/{name} is damaged")}
-    assert told in problem
+    assert message in problem
 
 
-@pytest.mark.parametrize("told", ["[1]", '{"seconds": "long"}', f'{{"seconds": {10**400}}}', "[" * 100_000])
-def test_a_provenance_that_is_none_is_named(tmp_path: Path, told: str) -> None:
+@pytest.mark.parametrize("text", ["[1]", '{"seconds": "long"}', f'{{"seconds": {10**400}}}', "[" * 100_000])
+def test_an_invalid_provenance_is_named(tmp_path: Path, text: str) -> None:
     folder = make_folder(tmp_path / "run")
-    (folder / "tables" / "provenance.json").write_text(told)
-    assert "tables/provenance.json is damaged and left out" in problems(folder)
+    (folder / "tables" / "provenance.json").write_text(text)
+    assert "tables/provenance.json is damaged" in problems(folder)
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"evaluation": 5}, "evaluation is damaged: got 5, expected dict"),
         (
@@ -170,11 +168,9 @@ def test_a_provenance_that_is_none_is_named(tmp_path: Path, told: str) -> None:
         ({"more": {5: "five"}}, "got the key 5, expected text"),
     ],
 )
-def test_a_config_that_a_report_cannot_go_by_is_refused(
-    tmp_path: Path, changes: dict[str, object], told: str
-) -> None:
+def test_an_invalid_config_is_refused(tmp_path: Path, changes: dict[str, object], message: str) -> None:
     folder = make_folder(tmp_path / "run", **changes)
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         read(folder)
 
 
@@ -200,17 +196,17 @@ def test_damaged_curves_are_named(tmp_path: Path) -> None:
 
 
 def log(folder: Path, **curves: list[float]) -> None:
-    """TensorBoard's file of some curves, a value every ten steps; __ in names stands for /."""
+    """Write a TensorBoard file of curves with a value every ten steps; __ in names stands for /."""
     writer = EventFileWriter(str(folder))
     for name, values in curves.items():
         for place, value in enumerate(values):
-            told = Summary(value=[Summary.Value(tag=name.replace("__", "/"), simple_value=value)])
-            writer.add_event(Event(step=10 * place, wall_time=float(place), summary=told))
+            summary = Summary(value=[Summary.Value(tag=name.replace("__", "/"), simple_value=value)])
+            writer.add_event(Event(step=10 * place, wall_time=float(place), summary=summary))
     writer.close()
 
 
 def test_an_evaluation_shows_how_its_networks_were_trained(tmp_path: Path) -> None:
-    """Their commands and their curves side by side, units apart from segmentation; of those whose runs are there."""
+    """Commands and curves of the existing runs, with separate charts for units and segmentation networks."""
     paths = []
     for name, predicts, scores in (
         ("chair_unet", "maps", [0.25, 0.5]), ("bed_unet", "maps", [0.5]), ("hrnet", "images", [0.75]), ("gone", "", []),
@@ -244,25 +240,28 @@ def test_an_evaluation_shows_how_its_networks_were_trained(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("given", "again"),
     [
-        ("+experiment=made trainer.max_epochs=3", "+experiment=made trainer.max_epochs=3"),  # as it was given
+        (
+            "+experiment=made trainer.max_epochs=3",
+            "+experiment=made trainer.max_epochs=3",
+        ),  # the recorded command
         ("resume=latest", "+experiment=made"),
         ("ckpt_path=made/last.ckpt", "+experiment=made"),
     ],
 )
-def test_a_training_is_made_again_as_it_was_begun(tmp_path: Path, given: str, again: str) -> None:
+def test_a_training_is_reproduced_with_its_first_command(tmp_path: Path, given: str, again: str) -> None:
     folder = make_folder(tmp_path / "run", choices=["+experiment=made"])
-    told = f"python -m imagination.train {given}"
-    (folder / "tables" / "provenance.json").write_text(json.dumps({"command": told}))
+    command = f"python -m imagination.train {given}"
+    (folder / "tables" / "provenance.json").write_text(json.dumps({"command": command}))
     report = f"python -m imagination.report {folder}"
     assert read(folder).commands == [f"python -m imagination.train {again}", report]
-    (tmp_path / "jobs.csv").write_text("")  # a sweep's member: its values, not the sweep
+    (tmp_path / "jobs.csv").write_text("")  # a sweep's job: its overrides, not the command of the sweep
     assert read(folder).commands == ["python -m imagination.train +experiment=made", report]
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="there is no such folder"):
         read(tmp_path / "nothing")
-    with pytest.raises(UserError, match="expected the folder of a run, an evaluation or a sweep"):
+    with pytest.raises(UserError, match=r"report: got .*expected"):
         read(tmp_path)
     (tmp_path / "config.yaml").write_text("a: [1")
     with pytest.raises(UserError, match=r"config.yaml: cannot be read"):
@@ -275,16 +274,15 @@ def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
 def test_a_run_that_never_evaluated_is_shown_as_that(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(make_config()))
     content = read(tmp_path)
-    assert "trials.csv is missing: the evaluation has not ended" in content.problems[0]
+    assert "trials.csv is missing" in content.problems[0]
     assert content.sections == [] and "+experiment=made" in content.commands[0]
 
 
-def test_of_an_evaluation_that_stopped_the_homes_so_far_are_counted(tmp_path: Path) -> None:
+def test_an_interrupted_evaluation_reports_its_missing_scenes(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run")
     (folder / "tables" / "trials.csv").unlink()
     write_scenes(folder / "tables", [f"test_{number:04d}" for number in range(5)])
-    told = "counted again from the maps saved so far, of 3 of 5 scenes; missing: test_0003, test_0004"
-    assert problems(folder).endswith(told)
+    assert problems(folder).endswith("3 of 5 scenes; missing: test_0003, test_0004")
     assert dict(read(folder).facts)["Scenes"] == "Rooms, 3 of the test split"
 
 
@@ -295,9 +293,8 @@ def test_whatever_maps_are_left_are_drawn(tmp_path: Path, left: str) -> None:
         if path.name != left:
             path.unlink()
     content = read(folder)
-    assert content.problems == [
-        "maps/: those of 11 of 12 runs are missing "
-        "(test_0000 3 m set 0, test_0000 3 m set 1, test_0001 3 m set 0, …)"
-    ]
+    (problem,) = content.problems
+    assert problem.startswith("maps/: ") and "11 of 12" in problem
+    assert problem.endswith("(test_0000 3 m set 0, test_0000 3 m set 1, test_0001 3 m set 0, …)")
     for drawing in drawings(content):
         drawing.draw()

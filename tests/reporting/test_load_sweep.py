@@ -1,6 +1,7 @@
-"""Sweeps: what was swept is found, members that failed or are missing are told, the rest is shown."""
+"""Sweeps: swept values are found, failed and missing jobs are reported, and the rest is shown."""
 
 import json
+import re
 import shutil
 from itertools import product
 from pathlib import Path
@@ -18,12 +19,12 @@ SWEPT = ["+experiment=made", "kernels.imaginable=0.6,1.0,1.4", "model.alpha_max=
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six complete members of a sweep over two keys."""
+    """Folder of a sweep over two keys with six complete jobs."""
     folder = tmp_path_factory.mktemp("sweep") / "multirun"
     folder.mkdir()
     sweeper = {"_target_": "hydra._internal.core_plugins.basic_sweeper.BasicSweeper", "params": None}
-    asked = {"hydra": {"sweeper": sweeper, "overrides": {"task": SWEPT}, "job": {"name": "train"}}}
-    (folder / "multirun.yaml").write_text(yaml.safe_dump(asked))
+    hydra = {"hydra": {"sweeper": sweeper, "overrides": {"task": SWEPT}, "job": {"name": "train"}}}
+    (folder / "multirun.yaml").write_text(yaml.safe_dump(hydra))
     number = 0
     for delta in ("0.6", "1.0", "1.4"):
         for alpha in ("10", "30"):
@@ -42,15 +43,15 @@ def sweep(made: Path, tmp_path: Path) -> Path:
     return shutil.copytree(made, tmp_path / "multirun")
 
 
-def test_hydras_grid_gives_the_members(sweep: Path) -> None:
-    asked = grid(sweep / "multirun.yaml")
-    assert len(asked) == 6
-    assert asked[3] == {"kernels.imaginable": "1.0", "model.alpha_max": "30"}
+def test_hydras_grid_gives_the_jobs(sweep: Path) -> None:
+    overrides = grid(sweep / "multirun.yaml")
+    assert len(overrides) == 6
+    assert overrides[3] == {"kernels.imaginable": "1.0", "model.alpha_max": "30"}
     assert grid(sweep / "nothing.yaml") == []
 
 
 @pytest.mark.parametrize(
-    ("task", "members"),
+    ("task", "jobs"),
     [
         (["a=1,2", "b=["], 0),  # no override
         ("a=1,2", 0),
@@ -59,15 +60,15 @@ def test_hydras_grid_gives_the_members(sweep: Path) -> None:
         ([f"a{number}=1,2,3,4,5,6,7,8,9" for number in range(20)], MAX_JOBS),
     ],
 )
-def test_a_grid_that_was_damaged_is_not_gone_by(tmp_path: Path, task: object, jobs: int) -> None:
-    """Nor is one that would fill memory."""
+def test_a_damaged_grid_is_ignored(tmp_path: Path, task: object, jobs: int) -> None:
+    """A grid that would fill memory is limited."""
     sweeper = {"_target_": "hydra._internal.core_plugins.basic_sweeper.BasicSweeper", "params": None}
-    asked = {"hydra": {"sweeper": sweeper, "overrides": {"task": task}}}
-    (tmp_path / "multirun.yaml").write_text(yaml.safe_dump(asked))
+    hydra = {"hydra": {"sweeper": sweeper, "overrides": {"task": task}}}
+    (tmp_path / "multirun.yaml").write_text(yaml.safe_dump(hydra))
     assert len(grid(tmp_path / "multirun.yaml")) == jobs
 
 
-def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
+def test_six_jobs_differ_only_in_the_swept_keys(sweep: Path) -> None:
     found = Multirun(sweep)
     assert list(found.swept) == ["kernels.imaginable", "model.alpha_max"]
     assert [found.values(job) for job in found.jobs] == grid(sweep / "multirun.yaml")
@@ -90,7 +91,7 @@ def test_six_members_differ_only_in_what_was_swept(sweep: Path) -> None:
 
 
 def validated(sweep: Path, number: int, iou: float) -> None:
-    """What mapping.csv says of a member on validation scenes."""
+    """Write a job's IoU on validation scenes into its mapping.csv."""
     rows = [
         f"{approach},{category},{width},0.1,0.1,{iou}"
         for approach, category, width in product(APPROACHES, CATEGORIES, WIDTHS)
@@ -111,32 +112,34 @@ def strong(sweep: Path) -> set[int]:
     }
 
 
-def test_the_best_on_validation_homes_is_bold(sweep: Path) -> None:
-    """Whatever test scenes say; where members have different truths, none is."""
+def test_the_best_on_validation_scenes_is_bold(sweep: Path) -> None:
+    """Independent of test scenes; no job is bold if their ground truth differs."""
     assert strong(sweep) == set()
     for number in range(6):
         validated(sweep, number, 0.3 + 0.1 * (number == 4))
     assert strong(sweep) == {4}
     table = sweep / "2" / "tables" / "trials.csv"
     lines = table.read_text().splitlines()
-    table.write_text("\n".join([lines[0], *(f"{line}0" for line in lines[1:])]) + "\n")  # ten times the truth
+    table.write_text(
+        "\n".join([lines[0], *(f"{line}0" for line in lines[1:])]) + "\n"
+    )  # ten times the ground truth
     assert strong(sweep) == set()
     (layout,) = [layout for section in read(sweep).sections for layout in section.layouts]
-    assert "different truths" in layout.note
+    assert "different ground truth" in layout.note
 
 
-def test_what_was_swept_is_found_in_configs_that_name_no_choices(sweep: Path) -> None:
-    """As evaluations do; a key that only repeats another one is not named again."""
+def test_swept_values_are_found_in_configs_without_overrides(sweep: Path) -> None:
+    """As in evaluations; of two keys that vary together one is named."""
     (sweep / "multirun.yaml").unlink()
-    told = "python -m imagination.train +experiment=made +hparams_search=optuna"
+    command = "python -m imagination.train +experiment=made +hparams_search=optuna"
     where = sweep / "0" / "tables" / "provenance.json"
     where.write_text(json.dumps({"command": "python -m somebody.s worker"}))
     assert read(sweep).commands == [f"python -m imagination.report {sweep}"]
-    where.write_text(json.dumps({"command": f"{told} sweep_dir=old"}))
+    where.write_text(json.dumps({"command": f"{command} sweep_dir=old"}))
     assert read(sweep).commands == [
-        told,
+        command,
         f"python -m imagination.report {sweep}",
-    ]  # a search's page has its own
+    ]  # the command of the search
     for path in sweep.glob("*/config.yaml"):
         config = yaml.safe_load(path.read_text())
         path.write_text(
@@ -152,7 +155,7 @@ def test_what_was_swept_is_found_in_configs_that_name_no_choices(sweep: Path) ->
     )  # fmt: skip
 
 
-def test_failed_and_missing_members_are_told_and_the_rest_is_shown(sweep: Path) -> None:
+def test_failed_and_missing_jobs_are_reported_and_the_rest_is_shown(sweep: Path) -> None:
     shutil.rmtree(sweep / "5")
     shutil.rmtree(sweep / "1" / "tables")
     shutil.rmtree(sweep / "1" / "maps")
@@ -163,15 +166,14 @@ def test_failed_and_missing_members_are_told_and_the_rest_is_shown(sweep: Path) 
     for name in ("tables", "maps"):
         shutil.rmtree(sweep / "3" / name)
     content = read(sweep)
-    told = "\n".join(content.problems)
-    assert (
-        "member 1 (kernels.imaginable=0.6, model.alpha_max=30) is failed: RuntimeError: out of luck" in told
+    failed, broken, unfinished, missing = content.problems
+    assert re.match(
+        r"job 1 \(kernels.imaginable=0.6, model.alpha_max=30\).*failed.*RuntimeError: out of luck", failed
     )
-    (broken,) = (line for line in told.splitlines() if line.startswith("member 2 "))
-    assert "(kernels.imaginable=1.0, model.alpha_max=10) is failed: " in broken
+    assert re.match(r"job 2 \(kernels.imaginable=1.0, model.alpha_max=10\).*failed", broken)
     assert "2/config.yaml: cannot be read" in broken
-    assert "member 3" in told and "unfinished" in told
-    assert "member 5 (kernels.imaginable=1.4, model.alpha_max=30) is missing" in told
+    assert "job 3" in unfinished and "unfinished" in unfinished
+    assert re.match(r"job 5 \(kernels.imaginable=1.4, model.alpha_max=30\).*missing", missing)
     (table,) = [table for section in content.sections for table in section.layouts]
     assert [line.name for line in table.blocks[0][1]] == [
         "kernels.imaginable=0.6, model.alpha_max=10", "kernels.imaginable=1.4, model.alpha_max=10",
@@ -198,8 +200,8 @@ def test_a_sweep_over_cell_widths_is_drawn_over_all_of_each(tmp_path: Path) -> N
     assert axes[0].get_xlabel() == "scale.cell_widths"
 
 
-def test_members_that_share_no_category_are_drawn(tmp_path: Path) -> None:
-    """A unit of chairs beside a segmentation network, which has beds as well, with two seeds each."""
+def test_jobs_without_a_common_category_are_drawn(tmp_path: Path) -> None:
+    """A unit of chairs and a segmentation network of chairs and beds, with two seeds each."""
     for number, (experiment, seed) in enumerate((e, s) for e in ("chair_unet", "hrnet") for s in (0, 1)):
         folder = make_folder(
             tmp_path / str(number), number, seed=seed, choices=[f"+experiment={experiment}", f"seed={seed}"]
@@ -216,12 +218,12 @@ def test_members_that_share_no_category_are_drawn(tmp_path: Path) -> None:
 
 def test_a_sweep_that_left_nothing_is_refused(tmp_path: Path) -> None:
     (tmp_path / "0").mkdir()
-    with pytest.raises(UserError, match="none of the 1 members"):
+    with pytest.raises(UserError, match=r"report: got .*none of whose 1 jobs"):
         read(tmp_path)
 
 
-def test_the_sweeps_own_list_of_members_is_believed(sweep: Path) -> None:
-    """As imagination.runs.sweep writes it: a failed member has its problem there, one that never began has no folder."""
+def test_the_jobs_of_the_sweeps_list_are_used(sweep: Path) -> None:
+    """As imagination.runs.sweep writes it, with the problem of a failed job; a job that never began has no folder."""
     (sweep / "multirun.yaml").unlink()
     shutil.rmtree(sweep / "4")
     lines = ["folder,key,state,score,overrides,problem"]
@@ -233,12 +235,11 @@ def test_the_sweeps_own_list_of_members_is_believed(sweep: Path) -> None:
             f"{number},hash,{state},,+experiment=made kernels.imaginable={delta} model.alpha_max={alpha},{problem}"
         )
     (sweep / "jobs.csv").write_text("\n".join(lines) + "\n")
-    (sweep / "2" / "config.yaml").write_text("a: [")  # what the list says is enough
-    (sweep / ("9" * 12)).mkdir()  # no member of any sweep
-    told = read(sweep).problems
-    assert told[0] == "member 2 (kernels.imaginable=1.0, model.alpha_max=10) is failed: out of luck"
-    assert told[1].startswith("member 4 (kernels.imaginable=1.4, model.alpha_max=10) is missing")
-    assert len(told) == 2
+    (sweep / "2" / "config.yaml").write_text("a: [")  # the list is sufficient
+    (sweep / ("9" * 12)).mkdir()  # no job of any sweep
+    failed, missing = read(sweep).problems
+    assert re.fullmatch(r"job 2 \(kernels.imaginable=1.0, model.alpha_max=10\).*failed.*out of luck", failed)
+    assert re.match(r"job 4 \(kernels.imaginable=1.4, model.alpha_max=10\).*missing", missing)
     (sweep / "jobs.csv").write_text("folder,state\nx,done\n")
     with pytest.raises(UserError, match="jobs.csv: is damaged"):
         read(sweep)

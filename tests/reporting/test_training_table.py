@@ -1,4 +1,4 @@
-"""The table of what networks were trained on."""
+"""Table of the training of networks."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ def counts(epochs: int) -> dict[str, Any]:
     return {"epochs": epochs, "samples": 640 * epochs, "views": 900, "seconds": 30.0 * epochs, "best": 0.625}
 
 
-def test_every_network_tells_what_it_took(tmp_path: Path) -> None:
+def test_every_network_has_its_training_statistics(tmp_path: Path) -> None:
     network = tmp_path / "network"
     checkpoint(network / "last.ckpt", "hrnet", "images", ["chair", "bed"], {
         "TrainingStats": counts(9), "EarlyStopping": {"flat": True},
@@ -37,12 +37,12 @@ def test_every_network_tells_what_it_took(tmp_path: Path) -> None:
     assert [(row["network"], row["category"], row["epochs"]) for row in rows] == [
         ("chair_unet", "chair", "4"), ("hrnet", "chair", "9"), ("chair_unet", "chair", ""),
     ]  # fmt: skip
-    assert [row["until"] for row in rows] == ["last round", "flat", ""]
+    assert [row["until"] for row in rows] == ["last epoch", "flat", ""]
     assert [row["iou_first_person"] for row in rows] == ["", "0.5000", ""]
     public = training_rows([unit], report, public=True)[1]
     assert list(public) == list(rows[0])
     assert {name: value for name, value in public.items() if value} == {
         "network": "ade20k", "category": "chair", "iou_first_person": "0.5000",
     }  # fmt: skip
-    whole = rows[1]  # the run's, not those of its best round
+    whole = rows[1]  # of the whole run, not up to its best epoch
     assert (whole["samples"], whole["minutes"], whole["iou_val_views"]) == ("5760", "4.5", "0.6250")

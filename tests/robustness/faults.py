@@ -1,4 +1,4 @@
-"""What may happen to training, mapping and rendering, and what must come of them nevertheless."""
+"""Faults injected into training, mapping and rendering, and checks of the results."""
 
 import json
 import os
@@ -29,82 +29,82 @@ from tests.helpers.rooms import tiny_room
 from tests.helpers.toy_units import CAMERA
 
 Result = dict[str, bytes]
-"""What a run leaves, by name."""
+"""Contents of the files of a run, by name."""
 
-Done = dict[str, int]
-"""What work is finished, and when, in nanoseconds."""
+Progress = dict[str, int]
+"""Finished units of work, and their times, ns."""
 
 FRAMES = 200
-"""Of the recorded drive."""
+"""Number of frames of the recorded drive."""
 
 SCENES = 3
-"""Of the corpus."""
+"""Number of scenes of the dataset of shards."""
 
 TICK = 0.005
-"""Seconds between two looks at a process."""
+"""Interval at which a process is polled, seconds."""
 
-HANGS = 300.0
-"""Seconds after which a process will not end any more."""
+TIMEOUT = 300.0
+"""Time after which a process counts as hanging, seconds."""
 
-PART = f"*{PART}"
-"""Names of what is half-written, in run folders as in the cache."""
+PARTIAL = f"*{PART}"
+"""Pattern of partially written files in run folders and the cache."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A command whose result is the same to the bit, whatever happens meanwhile.
+    """Command whose result must be identical to the bit after any fault.
 
     Attributes:
-        name: of the command.
-        words: what it is asked to do.
-        result: where its result lies, under the folder it runs in; beside it those of other runs.
-        read: what of a result is there, by readers that refuse what is half-written.
-        cached: whether it reads and fills the cache.
-        done: what of its work need not be done again, if it is stopped now.
-        again: what of that was done again by the command that went on.
+        name: name of the command.
+        arguments: arguments of the command.
+        result: path of the result relative to the working folder; its siblings are results of other runs.
+        read: reader of the existing part of a result; it refuses partially written files.
+        cached: whether the command reads and fills the cache.
+        progress: reader of the work that a resumed command must not repeat.
+        repeated: list of the work in the progress that a resumed command repeated.
     """
 
     name: str
-    words: tuple[str, ...]
+    arguments: tuple[str, ...]
     result: str
     read: Callable[[Path], Result]
     cached: bool
-    done: Callable[[Path], Done] = lambda path: {}
-    again: Callable[[Path, Done], list[str]] = lambda path, done: []
+    progress: Callable[[Path], Progress] = lambda path: {}
+    repeated: Callable[[Path, Progress], list[str]] = lambda path, progress: []
 
 
-def trained(run: Path) -> Done:
-    """Steps of training in the last checkpoint."""
+def training_progress(run: Path) -> Progress:
+    """Return the number of training steps in the last checkpoint."""
     if not (run / LAST).is_file():
         return {}
     return {str(read_state(run / LAST)["global_step"]): time.time_ns()}
 
 
-def trained_again(run: Path, done: Done) -> list[str]:
-    """Steps that were logged since, though a checkpoint held them before."""
+def repeated_steps(run: Path, progress: Progress) -> list[str]:
+    """Return the steps before a checkpoint that were logged after it."""
     return [
         str(event.step)
-        for steps, when in done.items()
+        for steps, saved_at in progress.items()
         for file in (run / "tensorboard").rglob("events.*")
-        if file.stat().st_mtime_ns > when
+        if file.stat().st_mtime_ns > saved_at
         for event in EventFileLoader(str(file)).Load()
         if event.step < int(steps) and any(value.tag.startswith("train/") for value in event.summary.value)
     ]
 
 
-def written(corpus: Path) -> Done:
-    """When the scenes that are there were written."""
-    return {path.name: path.stat().st_mtime_ns for path in corpus.glob("*.record.json")}
+def shards_progress(shards: Path) -> Progress:
+    """Return the modification times of the scenes written so far."""
+    return {path.name: path.stat().st_mtime_ns for path in shards.glob("*.record.json")}
 
 
-def written_again(corpus: Path, done: Done) -> list[str]:
-    """Scenes that were there and are newer now."""
-    now = written(corpus)
-    return [name for name, time in done.items() if now.get(name) != time]
+def repeated_scenes(shards: Path, progress: Progress) -> list[str]:
+    """Return the scenes that were written again."""
+    current = shards_progress(shards)
+    return [name for name, time in progress.items() if current.get(name) != time]
 
 
 def read_training(run: Path) -> Result:
-    """Tables and weights; nothing before the run has ended."""
+    """Return tables and weights, or nothing before the run has ended."""
     states = {path: read_state(run / path) for path in (LAST, BEST) if (run / path).is_file()}
     tables = [run / "tables" / name for name in ("mapping.csv", "ego.csv")]
     if not all(table.is_file() for table in tables):
@@ -114,22 +114,22 @@ def read_training(run: Path) -> Result:
 
 
 def read_map(run: Path) -> Result:
-    """All files but those with dates or paths."""
+    """Return all files except those with dates or paths."""
     files = [path for path in run.iterdir() if path.is_file()]
     return {path.name: path.read_bytes() for path in files if path.name not in ("run.log", CONFIG)}
 
 
-def read_corpus(corpus: Path) -> Result:
-    """Chunks and records; index and description, which name all scenes, once these are there, without the date."""
-    found = {path.name: path.read_bytes() for kind in ("bin", "json") for path in corpus.glob(f"*.{kind}")}
-    index = json.loads(found.pop(INDEX, "{}")) | {"updated_at": ""}
+def read_shards(shards: Path) -> Result:
+    """Return chunks and records, and once all scenes exist, the description and the index without its date."""
+    files = {path.name: path.read_bytes() for kind in ("bin", "json") for path in shards.glob(f"*.{kind}")}
+    index = json.loads(files.pop(INDEX, "{}")) | {"updated_at": ""}
     if len(index.get("chunks", [])) == SCENES + 1:
-        return found | {INDEX: json.dumps(index).encode()}
-    return {name: content for name, content in found.items() if name != ABOUT}
+        return files | {INDEX: json.dumps(index).encode()}
+    return {name: content for name, content in files.items() if name != ABOUT}
 
 
 def jobs(folder: Path) -> list[Job]:
-    """What is to be done again and again; a recorded drive and a unit to map it with are made in the folder."""
+    """Return the jobs; write a recorded drive and a unit for mapping into the folder."""
     scene = tiny_room()
     record_tum(folder / "tum", list(drive(scene, CAMERA, corridor_path(scene.free_space, FRAMES))), CAMERA)
     unit = folder / "chair.onnx"
@@ -137,36 +137,51 @@ def jobs(folder: Path) -> list[Job]:
     camera = "recording.camera.values.colour={width:48,height:48,fx:24,fy:24,cx:23.5,cy:23.5}"
     train = "+experiment=chair_unet", "scale=test", "scale.epochs=4", "scale.eval_every=2", "scale.workers=1"
     render = "scale=test", f"scale.scenes.train={SCENES}", "scale.workers=1", "views=16"
-    corpus = "outputs/render/corpus"
-    drive_words = "recording=tum", f"recording.path={folder / 'tum'}", f"unit={unit}", camera
+    shards = "outputs/render/shards"
+    mapping = "recording=tum", f"recording.path={folder / 'tum'}", f"unit={unit}", camera
     return [
-        Job("train", train, "outputs/chair_unet/latest", read_training, True, trained, trained_again),
-        Job("map", drive_words, "outputs/map/latest", read_map, cached=False),
         Job(
-            "prepare_shards", (*render, f"shards={corpus}"), corpus, read_corpus, True, written, written_again
+            "train",
+            train,
+            "outputs/chair_unet/latest",
+            read_training,
+            True,
+            training_progress,
+            repeated_steps,
+        ),
+        Job("map", mapping, "outputs/map/latest", read_map, cached=False),
+        Job(
+            "prepare_shards",
+            (*render, f"shards={shards}"),
+            shards,
+            read_shards,
+            True,
+            shards_progress,
+            repeated_scenes,
         ),
     ]
 
 
 class Ended(NamedTuple):
-    """How a process ended: its exit code and what it told."""
+    """Exit code and error output of a process."""
 
     code: int
-    told: str
+    stderr: str
 
 
 Watch = Callable[[int], None]
-"""Called every few milliseconds with the id of a process that runs."""
+"""Function called every few milliseconds with the id of a running process."""
 
 
 class Undisturbed(NamedTuple):
-    """A run to which nothing happened.
+    """Reference run without a fault.
 
     Attributes:
-        folder: it ran in, with its cache.
-        result: what is to come of every run.
-        seconds: it took.
-        largest, used: bytes of its largest file and of the disk.
+        folder: working folder with the cache.
+        result: expected result of every run.
+        seconds: duration, seconds.
+        largest: size of the largest file, bytes.
+        used: disk space, bytes.
     """
 
     folder: Path
@@ -177,15 +192,15 @@ class Undisturbed(NamedTuple):
 
 
 class Faults:
-    """Each method does one thing to a job in a folder of its own and checks what comes of it.
+    """Injector of faults; each method injects one fault into a job in a new folder and checks the result.
 
     Args:
-        folder: for undisturbed runs.
-        seed: of the moments at which things break.
+        folder: folder of the undisturbed runs.
+        seed: seed of the times of faults.
 
     Attributes:
-        count: how often what was done to which job.
-        peaks: memory of each job's processes since it was emptied last, MB.
+        count: number of events by fault and job.
+        peaks: peak memory of the processes of each job in this round, MB.
     """
 
     def __init__(self, folder: Path, seed: int) -> None:
@@ -194,8 +209,8 @@ class Faults:
         self.peaks: dict[str, float] = {}
         self.undisturbed: dict[str, Undisturbed] = {}
 
-    def nothing(self, job: Job) -> None:
-        """The job runs through: what is to come of it whatever happens."""
+    def run_undisturbed(self, job: Job) -> None:
+        """Run the job without a fault and store the expected result."""
         folder, begin = self.folder / job.name, time.monotonic()
         ended = self._wait(job, self._start(job, folder))
         seconds, result = time.monotonic() - begin, job.read(folder / job.result)
@@ -205,113 +220,112 @@ class Faults:
         self.undisturbed[job.name] = Undisturbed(folder, result, seconds, largest, used)
 
     def killed(self, job: Job, folder: Path) -> None:
-        """SIGKILL at a random moment, while a file is half-written, once work is finished; each time it goes on."""
+        """Kill the job at a random time, while a file is written, and after finished work; resume it each time."""
         seconds, result = self.undisturbed[job.name].seconds, folder / job.result
 
         def later() -> bool:
             return time.monotonic() > moment
 
         def halfway() -> bool:
-            return bool(set(folder.rglob(PART)) - before)
+            return bool(set(folder.rglob(PARTIAL)) - before)
 
-        def finished() -> Done:
-            return job.done(result) if result.is_dir() else {}
+        def current_progress() -> Progress:
+            return job.progress(result) if result.is_dir() else {}
 
-        def further() -> bool:
-            return bool(set(finished()) - set(done))
+        def advanced() -> bool:
+            return bool(set(current_progress()) - set(progress))
 
-        order = [further, later, lambda: later() and halfway()]
+        order = [advanced, later, lambda: later() and halfway()]
         for ready in order[:: -1 if self.count["killed", job.name] % 2 else 1]:
             moment = time.monotonic() + self.random.uniform(0, seconds)
-            before, done = set(folder.rglob(PART)), finished()
+            before, progress = set(folder.rglob(PARTIAL)), current_progress()
             ended = self._wait(job, self._start(job, folder), killer(ready))
-            assert ended.code in (0, -signal.SIGKILL), ended.told
+            assert ended.code in (0, -signal.SIGKILL), ended.stderr
             self.count["kills", job.name] += ended.code != 0
             self.count["halfway", job.name] += halfway()
-            self._not_again(job, result, done)
-            self._sound(job, folder)
-        done = finished()
+            self._check_not_repeated(job, result, progress)
+            self._check_sound(job, folder)
+        progress = current_progress()
         self._finish(job, folder)
-        self._not_again(job, result, done)
+        self._check_not_repeated(job, result, progress)
 
     def limited(self, job: Job, folder: Path) -> None:
-        """No file may grow beyond a limit: one message says so; without it the job goes on with what is there."""
-        self._refused(job, folder, self._less(self.undisturbed[job.name].largest, 0.01))
+        """Limit the size of files: the job ends with one message, and resumes without the limit."""
+        self._check_refused(job, folder, self._less(self.undisturbed[job.name].largest, 0.01))
         self._finish(job, folder)
 
     def full_disk(self, job: Job, folder: Path) -> None:
-        """The disk is too small: one message says so; with more room the job goes on with what is there."""
-        size = self._less(
-            self.undisturbed[job.name].used, 0.1
-        )  # with less, even run.log fails, with a traceback
+        """Use a disk that is too small: the job ends with one message, and resumes with more space."""
+        # on a smaller disk even run.log cannot be written, and a traceback is printed
+        size = self._less(self.undisturbed[job.name].used, 0.1)
         with disk(folder, size):
-            self._refused(job, folder)
+            self._check_refused(job, folder)
             subprocess.run(["mount", "-o", "remount,size=1g", folder], check=True)
             self._finish(job, folder)
 
     def damaged(self, job: Job, folder: Path) -> None:
-        """Once the job has begun to read the cache, all entries that it has not read yet are damaged."""
-        began, done, cache = time.time(), False, self.undisturbed[job.name].folder / "cache"
+        """Damage all unread entries of the cache once the job has begun to read it."""
+        began, damaged, cache = time.time(), False, self.undisturbed[job.name].folder / "cache"
 
         def damage(process: int) -> None:
-            nonlocal done
-            entries = [] if done else sorted(cache.rglob("*.bin"))
+            nonlocal damaged
+            entries = [] if damaged else sorted(cache.rglob("*.bin"))
             unread = [path for path in entries if path.stat().st_mtime < began]  # reading sets the time
             if len(unread) < len(entries):
-                done = True
+                damaged = True
                 for path in unread:
                     self._damage(path)
 
         ended = self._finish(job, folder, cache=cache, watch=damage)
-        self.count["found", job.name] += ended.told.count("is damaged")
+        self.count["entries", job.name] += ended.stderr.count("is damaged")
 
     def shared(self, job: Job, folder: Path) -> None:
-        """Two at once fill one empty cache; two that render, one corpus as well."""
-        both = [self._start(job, folder) for _ in range(2)]
-        for process in both:
+        """Run two processes that fill one empty cache; two renderings also write one dataset of shards."""
+        processes = [self._start(job, folder) for _ in range(2)]
+        for process in processes:
             ended = self._wait(job, process)
-            assert ended.code == 0, ended.told
-        for found in self._sound(job, folder):
-            self._whole(job, found)
+            assert ended.code == 0, ended.stderr
+        for result in self._check_sound(job, folder):
+            self._check_complete(job, result)
 
     def _damage(self, path: Path) -> None:
-        """Cut a file, or flip one of its bits."""
+        """Truncate a file, or flip one of its bits."""
         content = bytearray(path.read_bytes() or b"0")
-        place = self.random.randrange(len(content))
-        content[place] ^= 1 << self.random.randrange(8)
-        path.write_bytes(content[:place] if self.random.random() < 0.5 else content)
+        position = self.random.randrange(len(content))
+        content[position] ^= 1 << self.random.randrange(8)
+        path.write_bytes(content[:position] if self.random.random() < 0.5 else content)
 
-    def _not_again(self, job: Job, result: Path, done: Done) -> None:
-        """A command that went on did nothing of what was done before."""
-        if done:
-            again = job.again(result, done)
-            assert not again, f"{job.name} did again what was done: {again} of {done}"
-            self.count["kept", job.name] += 1
+    def _check_not_repeated(self, job: Job, result: Path, progress: Progress) -> None:
+        """Check that a resumed command repeated no finished work."""
+        if progress:
+            repeated = job.repeated(result, progress)
+            assert not repeated, f"{job.name} repeated finished work: {repeated} of {progress}"
+            self.count["resumed", job.name] += 1
 
-    def _less(self, size: int, least: float) -> int:
-        """A random size that is too small, of any magnitude down to a share of it."""
-        return int(size * least ** self.random.uniform(0.1, 1))
+    def _less(self, size: int, minimum: float) -> int:
+        """Draw a size that is too small, log-uniformly down to a fraction of the size."""
+        return int(size * minimum ** self.random.uniform(0.1, 1))
 
-    def _refused(self, job: Job, folder: Path, limit: int | None = None) -> None:
-        """The job cannot write, tells it in one message and leaves nothing that is not sound."""
+    def _check_refused(self, job: Job, folder: Path, limit: int | None = None) -> None:
+        """Check that a job that cannot write ends with one message and leaves valid files only."""
         ended = self._wait(job, self._start(job, folder, limit=limit))
-        errors = [line for line in ended.told.splitlines() if line.startswith("error: ")]
+        errors = [line for line in ended.stderr.splitlines() if line.startswith("error: ")]
         assert (ended.code, len(errors)) == (2, 1), ended
-        assert not list(folder.rglob(PART)), "something half-written stayed"
-        assert "Traceback" not in ended.told, ended
-        assert "could not write" in ended.told or "cannot write" in ended.told, ended
-        self._sound(job, folder)
+        assert not list(folder.rglob(PARTIAL)), "a partially written file is left"
+        assert "Traceback" not in ended.stderr, ended
+        assert "could not write" in ended.stderr or "cannot write" in ended.stderr, ended
+        self._check_sound(job, folder)
 
     def _start(
         self, job: Job, folder: Path, *, limit: int | None = None, cache: Path | None = None
     ) -> "subprocess.Popen[bytes]":
-        """Start a job in its folder, or let it go on; its cache is there as well unless another is given."""
+        """Start or resume a job in its folder; the default cache is in the folder."""
         folder.mkdir(exist_ok=True)
-        begun = (folder / job.result / COMPOSED).is_file()  # which only training can go on with
-        words = ["resume=latest"] if begun else [*job.words]
-        words += [f"paths.cache={cache or folder / 'cache'}"]
+        resumable = (folder / job.result / COMPOSED).is_file()  # training only
+        arguments = ["resume=latest"] if resumable else [*job.arguments]
+        arguments += [f"paths.cache={cache or folder / 'cache'}"]
         process = subprocess.Popen(
-            [sys.executable, "-m", f"imagination.{job.name}", *words],
+            [sys.executable, "-m", f"imagination.{job.name}", *arguments],
             env=os.environ | {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
             cwd=folder,
             stdout=subprocess.DEVNULL,
@@ -325,14 +339,14 @@ class Faults:
     def _wait(
         self, job: Job, process: "subprocess.Popen[bytes]", watch: Watch = lambda process: None
     ) -> Ended:
-        """Wait for the end of a job's process and note its memory."""
-        end, peak = time.monotonic() + HANGS, 0.0
+        """Wait for a process of a job and record its peak memory."""
+        end, peak = time.monotonic() + TIMEOUT, 0.0
         try:
             while time.monotonic() < end:
                 try:
-                    told = process.communicate(timeout=TICK)[1].decode()
+                    stderr = process.communicate(timeout=TICK)[1].decode()
                     self.peaks[job.name] = max(self.peaks.get(job.name, 0.0), peak)
-                    return Ended(process.returncode, told)
+                    return Ended(process.returncode, stderr)
                 except subprocess.TimeoutExpired:
                     peak = max(peak, memory(process.pid))
                     watch(process.pid)
@@ -344,29 +358,31 @@ class Faults:
     def _finish(
         self, job: Job, folder: Path, *, cache: Path | None = None, watch: Watch = lambda process: None
     ) -> Ended:
-        """Let the job come to its end: its result is that of an undisturbed one."""
+        """Run the job to its end and check that its result is that of the undisturbed run."""
         ended = self._wait(job, self._start(job, folder, cache=cache), watch)
-        assert ended.code == 0 and "Traceback" not in ended.told, ended
-        self._sound(job, folder)
-        self._whole(job, job.read(folder / job.result))
+        assert ended.code == 0 and "Traceback" not in ended.stderr, ended
+        self._check_sound(job, folder)
+        self._check_complete(job, job.read(folder / job.result))
         return ended
 
-    def _sound(self, job: Job, folder: Path) -> list[Result]:
-        """What lies there of results, all of it as an undisturbed run leaves it."""
-        truth = self.undisturbed[job.name].result
-        found = [job.read(path) for path in (folder / job.result).parent.glob("*") if path.is_dir()]
-        wrong = {name for each in found for name, content in each.items() if truth.get(name) != content}
-        assert not wrong, f"{job.name} in {folder}: {sorted(wrong)} are not those of an undisturbed run"
-        return found
+    def _check_sound(self, job: Job, folder: Path) -> list[Result]:
+        """Check that all existing files equal those of the undisturbed run, and return the results."""
+        expected = self.undisturbed[job.name].result
+        results = [job.read(path) for path in (folder / job.result).parent.glob("*") if path.is_dir()]
+        wrong = {
+            name for result in results for name, content in result.items() if expected.get(name) != content
+        }
+        assert not wrong, f"{job.name} in {folder}: {sorted(wrong)} differ from the undisturbed run"
+        return results
 
-    def _whole(self, job: Job, found: Result) -> None:
-        """What was found is all of what an undisturbed run leaves."""
-        truth = self.undisturbed[job.name].result
-        assert found == truth, f"{job.name}: got {sorted(found)}, expected {sorted(truth)}"
+    def _check_complete(self, job: Job, result: Result) -> None:
+        """Check that a result is complete and equals that of the undisturbed run."""
+        expected = self.undisturbed[job.name].result
+        assert result == expected, f"{job.name}: got {sorted(result)}, expected {sorted(expected)}"
 
 
 def killer(ready: Callable[[], bool]) -> Watch:
-    """Kills a process and its workers as soon as all is ready for that."""
+    """Return a function that kills a process and its workers as soon as `ready` is true."""
 
     def kill(process: int) -> None:
         if ready():
@@ -376,7 +392,7 @@ def killer(ready: Callable[[], bool]) -> Watch:
 
 
 def memory(process: int) -> float:
-    """Of a process and all that it started, MB; 0 if it has ended."""
+    """Return the memory of a process and its descendants, MB; 0 if it has ended."""
     folder = Path(f"/proc/{process}")
     try:
         pages = int((folder / "statm").read_text().split()[1])
@@ -390,10 +406,10 @@ def memory(process: int) -> float:
 
 @contextmanager
 def disk(folder: Path, size: int) -> Iterator[None]:
-    """A disk of so many bytes, in memory.
+    """Mount a file system of a size in bytes in memory.
 
     Raises:
-        subprocess.CalledProcessError: if this user may not mount one.
+        subprocess.CalledProcessError: if the user may not mount it.
     """
     folder.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], check=True)

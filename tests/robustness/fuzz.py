@@ -1,8 +1,8 @@
-"""`make fuzz`, or `python -m tests.robustness.fuzz [parser …] [minutes=5]`: every parser gets damaged, hostile files.
+"""Fuzzing of parsers: `make fuzz`, or `python -m tests.robustness.fuzz [parser …] [minutes=5]`.
 
-Valid files are cut, spliced, flipped and filled with extreme numbers by hypothesis, which shrinks what it finds. A
-parser may succeed or raise what it documents; anything else, a hang of 20 s or 4 GB more memory than before is a
-failure. Each parser runs in a process of its own, as many at once as there are cores. The file that failed is kept.
+Hypothesis truncates, splices, flips and fills valid files with extreme values, and shrinks failing files. A parser may
+succeed or raise a documented error; another error, more than 20 s or more than 4 GiB of additional memory is a failure.
+Each parser runs in a separate process, as many in parallel as there are cores. Failing files are kept.
 """
 
 import faulthandler
@@ -25,20 +25,24 @@ from imagination.utils.errors import check_range
 from tests.robustness.page import read_part, write_part
 from tests.robustness.parsers import PARSERS, Parser
 
-SECONDS_EACH = 20.0
-MEMORY = 4 * 2**30
-FAILED = "**failed**"
-KEPT = Path("outputs") / "fuzz"
-"""Where files that failed are."""
+MAX_SECONDS = 20.0
+"""Maximum time for one file, seconds."""
 
-TOLD = 100, 300
-"""Last lines of what a process said that are shown if it failed, and letters of each: examples are long."""
+MAX_MEMORY = 4 * 2**30
+"""Maximum additional memory for one file, bytes."""
+
+FAILED = "**failed**"
+FAILURES = Path("outputs") / "fuzz"
+"""Folder of failing files."""
+
+MAX_LINES, MAX_LINE_LENGTH = 100, 300
+"""Number of error lines shown of a failed process, and characters of each; examples are long."""
 
 BURST = 100
-"""Files between looks at the clock."""
+"""Number of files between checks of the time."""
 
 GRACE = 900.0
-"""Seconds that a process may take beyond its minutes: to import, for its last burst and to shrink what it found."""
+"""Additional time of a process for imports, the last burst and shrinking, seconds."""
 
 EXTREMES = [
     *(b"\x00\x00\x00\x00", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x80\x00\x00\x00"),
@@ -72,7 +76,7 @@ EXTREMES = [
 
 @st.composite
 def damaged(draw: st.DrawFn, examples: list[bytes]) -> bytes:
-    """A valid file after one to five mishaps."""
+    """Draw a valid file with one to five modifications."""
     content = bytearray(draw(st.sampled_from(examples)))
     for _ in range(draw(st.integers(1, 5))):
         start = draw(st.integers(0, len(content)))
@@ -97,49 +101,49 @@ def damaged(draw: st.DrawFn, examples: list[bytes]) -> bytes:
 
 
 class ExcessError(BaseException):
-    """Too much time or memory: nothing that `except Exception` or a documented error could swallow."""
+    """Too much time or memory; not an Exception, so that a parser does not catch it."""
 
 
-def peak(anew: bool = False) -> int:
-    """The most memory that this process held, bytes; `anew`: what it holds now, from which the most counts again."""
-    if anew:
+def peak_memory(reset: bool = False) -> int:
+    """Return the peak memory of this process, bytes; `reset` restarts the measurement from the current memory."""
+    if reset:
         Path("/proc/self/clear_refs").write_text("5")
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 @contextmanager
 def watched() -> Iterator[None]:
-    """Bound the time and the memory of what is done, even where it swallows every error.
+    """Limit the time and memory of a block, even if it catches all errors.
 
-    Where C code holds the interpreter, the process ends after twice the time, telling where it was.
+    If C code blocks the interpreter, the process ends after twice the time with a traceback.
 
     Raises:
-        ExcessError: if it takes more.
+        ExcessError: if a limit is exceeded.
     """
 
     def stop(*_: object) -> None:
-        raise ExcessError(f"still at one file after {SECONDS_EACH:g} s")
+        raise ExcessError(f"one file takes more than {MAX_SECONDS:g} s")
 
-    begin, most = monotonic(), peak(anew=True) + MEMORY
+    begin, limit = monotonic(), peak_memory(reset=True) + MAX_MEMORY
     before = signal.signal(signal.SIGALRM, stop)
-    faulthandler.dump_traceback_later(2 * SECONDS_EACH, exit=True, file=sys.__stderr__)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS_EACH, 1.0)  # again and again: it may be swallowed
+    faulthandler.dump_traceback_later(2 * MAX_SECONDS, exit=True, file=sys.__stderr__)
+    signal.setitimer(signal.ITIMER_REAL, MAX_SECONDS, 1.0)  # repeated, since the block may catch the error
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         faulthandler.cancel_dump_traceback_later()
         signal.signal(signal.SIGALRM, before)
-    if monotonic() - begin > SECONDS_EACH:
+    if monotonic() - begin > MAX_SECONDS:
         stop()
-    if peak() > most:
-        raise ExcessError(f"one file took more than {MEMORY / 2**30:g} GiB of memory")
+    if peak_memory() > limit:
+        raise ExcessError(f"one file took more than {MAX_MEMORY / 2**30:g} GiB of memory")
 
 
-def survives(parser: Parser, files: int, number: int, path: Path) -> None:
-    """Give a parser so many damaged files, one after the other at a path, where the one that fails stays."""
+def check_parser(parser: Parser, files: int, random_seed: int, path: Path) -> None:
+    """Parse a number of damaged files, written one after another to a path, where a failing file is kept."""
 
-    @seed(number)
+    @seed(random_seed)
     @settings(
         max_examples=files,
         deadline=None,
@@ -149,7 +153,7 @@ def survives(parser: Parser, files: int, number: int, path: Path) -> None:
     )
     @given(content=damaged(list(parser.examples())))
     def check(content: bytes) -> None:
-        path.unlink(missing_ok=True)  # the file before may still be mapped into memory
+        path.unlink(missing_ok=True)  # the previous file may still be memory-mapped
         path.write_bytes(content)
         with watched(), suppress(*parser.documented):
             parser.parse(path)
@@ -159,37 +163,37 @@ def survives(parser: Parser, files: int, number: int, path: Path) -> None:
 
 
 def fuzz(parser: Parser, minutes: float) -> int:
-    """Damaged files given to a parser within the time."""
-    path = KEPT / parser.name
+    """Fuzz a parser for some minutes, and return the number of damaged files."""
+    path = FAILURES / parser.name
     path.parent.mkdir(parents=True, exist_ok=True)
-    for example in parser.examples():  # so that all is imported and every thread has begun
+    for example in parser.examples():  # imports modules and starts threads
         path.write_bytes(example)
         parser.parse(path)
     limit_memory()
     end, files = monotonic() + 60 * minutes, 0
     while monotonic() < end:
-        survives(parser, BURST, 2**20 * date.today().toordinal() + files, path)  # another day, other files
+        check_parser(parser, BURST, 2**20 * date.today().toordinal() + files, path)  # new files every day
         files += BURST
     return files
 
 
 def limit_memory() -> None:
-    """Refuse this process more memory than it has and a parser may take.
+    """Limit the memory of this process to its current memory and 1.25 times MAX_MEMORY.
 
-    A quarter more than that, so that a parser which swallows the refusal was seen to take too much before.
+    The margin lets `watched` detect a parser that catches the MemoryError.
     """
-    has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (has + MEMORY * 5 // 4,) * 2)
+    current = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (current + MAX_MEMORY * 5 // 4,) * 2)
 
 
-def main(words: list[str]) -> int:
-    """Fuzz the parsers named, or all."""
-    asked = next((word.partition("=")[2] for word in words if word.startswith("minutes=")), "5")
+def main(arguments: list[str]) -> int:
+    """Fuzz the given parsers, or all, and return the exit code."""
+    value = next((word.partition("=")[2] for word in arguments if word.startswith("minutes=")), "5")
     try:
-        minutes = check_range("minutes", float(asked), 0, 600, open_low=True)
+        minutes = check_range("minutes", float(value), 0, 600, open_low=True)
     except ValueError:
-        sys.exit(f"fuzz: got minutes={asked}, expected a number in (0, 600]")
-    names = [word for word in words if not word.startswith("minutes=")]
+        sys.exit(f"fuzz: got minutes={value}, expected a number in (0, 600]")
+    names = [word for word in arguments if not word.startswith("minutes=")]
     by_name = {parser.name: parser for parser in PARSERS}
     if unknown := set(names) - set(by_name):
         sys.exit(f"fuzz: got {', '.join(sorted(unknown))}, expected any of: {', '.join(by_name)}")
@@ -199,18 +203,18 @@ def main(words: list[str]) -> int:
     rows = {line.split()[1]: line for line in read_part("fuzz")[2:]}
     names, failed = names or list(by_name), 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        running = {pool.submit(apart, name, minutes): name for name in names}
-        for done in as_completed(running):
-            name, outcome = running[done], done.result()
+        tasks = {pool.submit(fuzz_in_process, name, minutes): name for name in names}
+        for task in as_completed(tasks):
+            name, outcome = tasks[task], task.result()
             failed += outcome == FAILED
             rows[name] = f"| {name} | {date.today()} | {minutes:g} | {outcome} |"
-            head = ["| parser | day | minutes | damaged files |", "|---|---|---|---|"]
-            write_part("fuzz", "\n".join(head + [rows[name] for name in by_name if name in rows]))
+            header = ["| parser | day | minutes | damaged files |", "|---|---|---|---|"]
+            write_part("fuzz", "\n".join(header + [rows[name] for name in by_name if name in rows]))
     return int(failed > 0)
 
 
-def apart(name: str, minutes: float) -> str:
-    """Fuzz one parser in a process of its own; how it went."""
+def fuzz_in_process(name: str, minutes: float) -> str:
+    """Fuzz one parser in a separate process, and return the number of files or FAILED."""
     command = [sys.executable, "-m", "tests.robustness.fuzz", name, f"minutes={minutes}", "--here"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=60 * minutes + GRACE)
@@ -218,8 +222,13 @@ def apart(name: str, minutes: float) -> str:
         print(f"{name}: {error}", flush=True)
         return FAILED
     if done.returncode:
-        lines = [line[: TOLD[1]] for line in done.stderr.splitlines()[-TOLD[0] :]]
-        print(f"{name}: failed with {done.returncode} at {KEPT / name}", *lines, sep="\n", flush=True)
+        lines = [line[:MAX_LINE_LENGTH] for line in done.stderr.splitlines()[-MAX_LINES:]]
+        print(
+            f"{name}: failed with code {done.returncode}: {FAILURES / name}",
+            *lines,
+            sep="\n",
+            flush=True,
+        )
         return FAILED
     files = done.stdout.split()[-1]
     print(f"{name}: {files}", flush=True)

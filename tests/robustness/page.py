@@ -1,4 +1,4 @@
-"""Parts of docs/reliability.md that commands write, between marks."""
+"""Generated parts of docs/reliability.md, between marks."""
 
 from pathlib import Path
 
@@ -6,13 +6,13 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
 
 
 def read_part(name: str) -> list[str]:
-    """The lines between the marks of that name."""
+    """Return the lines between the marks of a part."""
     begin, end = marks(name)
     return PAGE.read_text().split(begin)[1].split(end)[0].strip().splitlines()
 
 
 def write_part(name: str, text: str) -> None:
-    """Put the text between the marks of that name."""
+    """Write text between the marks of a part."""
     begin, end = marks(name)
     before, rest = PAGE.read_text().split(begin)
     after = rest.split(end)[1]
@@ -20,5 +20,5 @@ def write_part(name: str, text: str) -> None:
 
 
 def marks(name: str) -> tuple[str, str]:
-    """What stands before and behind the part."""
+    """Return the marks before and after a part."""
     return f"<!-- made by make {name} -->", f"<!-- end of make {name} -->"

@@ -1,8 +1,8 @@
-"""`make soak`, or `python -m tests.robustness.soak [minutes=20] [seed=0]`: faults, one after another, until time is up.
+"""Soak test: `make soak`, or `python -m tests.robustness.soak [minutes=20] [seed=0]`.
 
-Training, mapping and rendering are killed, run out of disk, find damaged entries in the cache, share a cache; each must
-end with the result of an undisturbed run. Meanwhile a thread of this process maps and renders, whose result must stay
-the same and whose memory must stay flat, as that of all processes must.
+It injects faults in rounds. Training, mapping and rendering are killed, run out of disk, read damaged cache entries and
+share a cache; each must end with the result of an undisturbed run. Meanwhile a thread of this process maps and renders;
+its result must not change. The memory of all processes must not grow.
 """
 
 import hashlib
@@ -39,51 +39,51 @@ from tests.helpers.rooms import tiny_room
 from tests.robustness.faults import Faults, disk, jobs, memory
 from tests.robustness.page import write_part
 
-FLAT = 1.1
-"""How much memory may grow from the first round of faults to the last, times."""
+MAX_GROWTH = 1.1
+"""Maximum ratio of the memory in the last round of faults to that in the first."""
 
 VIEWS = 300
-"""Of one pass of mapping and rendering in this process."""
+"""Number of views in a pass of mapping and rendering in this process."""
 
-HERE = "this process"
+THIS_PROCESS = "this process"
 
 TEST = "scale=test", "scale.workers=1"
-TRAIN_ON = "train", "+experiment=chair_unet", *TEST, "scale.epochs=1000000", "scale.eval_every=200"
-RENDER_ON = "prepare_shards", "shards=corpus", *TEST, "scale.scenes.train=9999", "views=16"
-"""What goes on behind the faults."""
+LONG_TRAINING = "train", "+experiment=chair_unet", *TEST, "scale.epochs=1000000", "scale.eval_every=200"
+LONG_RENDERING = "prepare_shards", "shards=shards", *TEST, "scale.scenes.train=9999", "views=16"
+"""Commands that run in the background during all rounds."""
 
 COLUMNS = {"train": "training", "map": "mapping", "prepare_shards": "rendering"}
-"""Of the table: jobs."""
+"""Columns of the table by job."""
 
 ROWS = (
     (
-        "killed: times, kills, of which halfway in a file; times that it found finished work",
-        ("killed", "kills", "halfway", "kept"),
-        "goes on to that result; none of that work is done again",
+        "killed: times, kills, kills during a write; resumptions with finished work",
+        ("killed", "kills", "halfway", "resumed"),
+        "resumes with the same result; no finished work is repeated",
     ),
-    ("no file beyond a random limit", ("limited",), "one message, code 2; without it, that result"),
-    ("a disk of random size, too small", ("full_disk",), "one message, code 2; with more room, that result"),
-    ("cache damaged under it: times, entries met", ("damaged", "found"), "made again; that result"),
-    ("two at once on one empty cache", ("shared",), "that result twice"),
+    ("limit on the size of files", ("limited",), "one message, code 2; same result without the limit"),
+    ("disk too small", ("full_disk",), "one message, code 2; same result with more space"),
+    ("cache entries damaged: times, entries read", ("damaged", "entries"), "rebuilt; same result"),
+    ("two processes on one empty cache", ("shared",), "same result twice"),
 )
-"""Of the table: what is done, its counts, the outcome."""
+"""Rows of the table: fault, its counts, and outcome."""
 
 
-class Meanwhile:
-    """Renders, projects and registers views in a thread, again and again: always the same ones.
+class MappingThread:
+    """Thread that renders, projects and registers the same views repeatedly.
 
     Attributes:
-        passes: done so far.
-        peak: memory of this process since it was set to 0 last, MB.
+        passes: number of passes so far.
+        peak: peak memory of this process since the last reset, MB.
     """
 
     def __init__(self) -> None:
         self.passes, self.peak = 0, 0.0
-        self.truth = self._pass()
+        self.expected = self._pass()
         self._stop = Event()
         self._thread = ThreadPoolExecutor(1)
 
-    def __enter__(self) -> "Meanwhile":
+    def __enter__(self) -> "MappingThread":
         self._task = self._thread.submit(self._run)
         return self
 
@@ -94,19 +94,19 @@ class Meanwhile:
         self._thread.shutdown()
 
     def check(self) -> None:
-        """Raise what went wrong in the thread."""
+        """Raise the error of the thread, if any."""
         if self._task.done():
             self._task.result()
 
     def _run(self) -> None:
-        os.setpriority(os.PRIO_PROCESS, get_native_id(), 10)  # of this thread: the jobs go first
+        os.setpriority(os.PRIO_PROCESS, get_native_id(), 10)  # lower priority of this thread than of the jobs
         while not self._stop.is_set():
-            assert self._pass() == self.truth, "mapping and rendering gave another result than at first"
+            assert self._pass() == self.expected, "the result of mapping and rendering changed"
             self.passes += 1
             self.peak = max(self.peak, resident())
 
     def _pass(self) -> str:
-        """Hash of all images and of the map that they give."""
+        """Map all views, and return a hash of the images and the map."""
         room, digest = tiny_room(), hashlib.sha256()
         renderer, camera = Renderer(room.mesh, room.lighting), Camera.from_degrees(64, 64, 90.0, 1.25)
         ego = EgoGrid.of_extent(3.72, 0.06)
@@ -121,37 +121,39 @@ class Meanwhile:
         return digest.hexdigest()
 
 
-class Long:
-    """A command that goes on as long as the soak does, behind everything else.
+class BackgroundCommand:
+    """Command that runs with low priority during the whole soak test.
 
     Args:
-        name: for messages.
-        folder: it runs in.
-        words: the module's name and what it is asked to do.
-        done: how much of that, by what lies in the folder.
+        name: name in messages.
+        folder: working folder.
+        command: name of the module and its arguments.
+        progress: function that counts the finished steps in the folder.
     """
 
-    def __init__(self, name: str, folder: Path, words: Sequence[str], done: Callable[[Path], int]) -> None:
-        self.name, self.folder, self.words, self.done = name, folder, words, done
+    def __init__(
+        self, name: str, folder: Path, command: Sequence[str], progress: Callable[[Path], int]
+    ) -> None:
+        self.name, self.folder, self.command, self.progress = name, folder, command, progress
         self.steps: list[int] = []  # after each round of faults
 
     def begin(self) -> None:
         self.folder.mkdir()
-        with open(self.folder / "told", "w") as told:
+        with open(self.folder / "stderr", "w") as stderr:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", f"imagination.{self.words[0]}", *self.words[1:]],
+                [sys.executable, "-m", f"imagination.{self.command[0]}", *self.command[1:]],
                 env=os.environ | {"PYTHONPATH": str(ROOT)},
                 cwd=self.folder,
                 stdout=subprocess.DEVNULL,
-                stderr=told,
+                stderr=stderr,
                 start_new_session=True,
                 preexec_fn=lambda: os.nice(15),
             )
 
-    def look(self) -> float:
-        """Note how far it is; the memory of all its processes, MB."""
-        assert self.process.poll() is None, f"{self.name} has ended: {(self.folder / 'told').read_text()}"
-        self.steps.append(self.done(self.folder))
+    def sample(self) -> float:
+        """Record the progress, and return the memory of all processes of the command, MB."""
+        assert self.process.poll() is None, f"{self.name} has ended: {(self.folder / 'stderr').read_text()}"
+        self.steps.append(self.progress(self.folder))
         return memory(self.process.pid)
 
     def end(self) -> None:
@@ -161,22 +163,22 @@ class Long:
 
 
 def epochs(folder: Path) -> int:
-    """Of the training in a folder."""
+    """Return the number of finished epochs of the training in a folder."""
     checkpoint = folder / "outputs" / "chair_unet" / "latest" / LAST
     return int(read_state(checkpoint)["epoch"]) + 1 if checkpoint.is_file() else 0
 
 
 def scenes(folder: Path) -> int:
-    """Of the corpus in a folder."""
-    return sum(1 for _ in folder.glob("corpus/*.record.json"))
+    """Return the number of scenes of the dataset of shards in a folder."""
+    return sum(1 for _ in folder.glob("shards/*.record.json"))
 
 
 class Soak:
-    """One soak in a folder of its own.
+    """Soak test in a folder.
 
     Args:
-        folder: for caches and outputs.
-        seed: of the moments at which things break.
+        folder: folder of caches and outputs.
+        seed: seed of the times of faults.
     """
 
     def __init__(self, folder: Path, seed: int) -> None:
@@ -186,35 +188,35 @@ class Soak:
                 self.mounts = True
         except (subprocess.CalledProcessError, FileNotFoundError) as error:
             self.mounts = False
-            self.left_out.append(f"Small disks are left out: {error}.")
-        self.epochs: list[dict[str, float]] = []  # memory, MB
+            self.left_out.append(f"Small disks were not tested: {error}.")
+        self.rounds: list[dict[str, float]] = []  # memory, MB
         for job in self.jobs:
-            self.faults.nothing(job)
-        self.longs = [
-            Long("one training", folder / "train_on", TRAIN_ON, epochs),
-            Long("one rendering", folder / "render_on", RENDER_ON, scenes),
+            self.faults.run_undisturbed(job)
+        self.background = [
+            BackgroundCommand("one training", folder / "long_training", LONG_TRAINING, epochs),
+            BackgroundCommand("one rendering", folder / "long_rendering", LONG_RENDERING, scenes),
         ]
 
-    def run(self, minutes: float, meanwhile: Meanwhile) -> None:
-        """Break things, round by round, until time is up."""
+    def run(self, minutes: float, mapping: MappingThread) -> None:
+        """Inject faults in rounds until the time is over."""
         end = time.monotonic() + 60 * minutes
-        for long in self.longs:
-            long.begin()
+        for command in self.background:
+            command.begin()
         try:
             while time.monotonic() < end:
                 self.faults.peaks.clear()
-                meanwhile.peak = 0.0
-                self.round(meanwhile)
-                held = {long.name: long.look() for long in self.longs}
-                self.epochs.append({**self.faults.peaks, HERE: meanwhile.peak, **held})
+                mapping.peak = 0.0
+                self.round(mapping)
+                background = {command.name: command.sample() for command in self.background}
+                self.rounds.append({**self.faults.peaks, THIS_PROCESS: mapping.peak, **background})
         finally:
-            for long in self.longs:
-                long.end()
+            for command in self.background:
+                command.end()
 
-    def round(self, meanwhile: Meanwhile) -> None:
-        """Do everything to every job once."""
+    def round(self, mapping: MappingThread) -> None:
+        """Inject each fault into each job once."""
         faults, folder = self.faults, self.faults.folder / "now"
-        full = faults.full_disk if self.mounts and len(self.epochs) % 2 else faults.limited  # in turn
+        full = faults.full_disk if self.mounts and len(self.rounds) % 2 else faults.limited  # alternately
         for fault in (faults.killed, full, faults.damaged, faults.shared):
             for job in self.jobs:
                 if job.cached or fault not in (faults.damaged, faults.shared):
@@ -223,91 +225,94 @@ class Soak:
                     print(f"{fault.__name__} {job.name}: {time.monotonic() - begin:.0f} s", flush=True)
                     faults.count[fault.__name__, job.name] += 1
                     shutil.rmtree(folder)
-                    meanwhile.check()
+                    mapping.check()
 
     def check(self) -> None:
-        """Raise if memory grew, what goes on stood still, or nothing was there to be met."""
-        first, last = self.epochs[0], self.epochs[-1]
-        told = {name: f"{name}: {first[name]:.0f} to {last[name]:.0f} MB" for name in first}
-        grown = [told[name] for name in first if last[name] > FLAT * first[name]]
-        assert not grown, f"memory grew: {', '.join(grown)}"
-        for long in self.longs:
-            steps = long.steps
-            assert len(steps) == 1 or 0 < steps[0] < steps[-1], f"{long.name} stood still: {steps}"
+        """Check that memory did not grow, background commands made progress, and faults had an effect."""
+        first, last = self.rounds[0], self.rounds[-1]
+        changes = {name: f"{name}: {first[name]:.0f} to {last[name]:.0f} MB" for name in first}
+        increased = [changes[name] for name in first if last[name] > MAX_GROWTH * first[name]]
+        assert not increased, f"memory increased: {', '.join(increased)}"
+        for command in self.background:
+            steps = command.steps
+            assert len(steps) == 1 or 0 < steps[0] < steps[-1], f"{command.name} made no progress: {steps}"
         cached = [job.name for job in self.jobs if job.cached]
-        never = [
-            (what, job) for what in ("found", "kept") for job in cached if not self.faults.count[what, job]
+        missing = [
+            (event, job)
+            for event in ("entries", "resumed")
+            for job in cached
+            if not self.faults.count[event, job]
         ]
-        assert not never, (
-            f"no damaged entry was met, or no finished work was there: {never}; was the code, and so the cache's "
-            "keys, changed meanwhile?"
+        assert not missing, (
+            f"no damaged entry was read, or no finished work was resumed: {missing}; check that the code, and with it "
+            "the cache keys, did not change meanwhile"
         )
 
-    def behind(self, passes: int) -> list[str]:
-        """What went on behind the faults."""
-        first, last = self.epochs[0], self.epochs[-1]
+    def background_report(self, passes: int) -> list[str]:
+        """Return lines on the mapping thread and the background commands."""
+        first, last = self.rounds[0], self.rounds[-1]
         return [
-            f"Meanwhile one process rendered and mapped the same {VIEWS} views {passes} times, always with the same "
-            f"images and map, with {first[HERE]:.0f} MB in the first round and {last[HERE]:.0f} in the last. Behind "
-            "them went on:",
+            f"Meanwhile one process rendered and mapped the same {VIEWS} views {passes} times with identical images "
+            f"and map; its memory was {first[THIS_PROCESS]:.0f} MB in the first round and {last[THIS_PROCESS]:.0f} MB "
+            "in the last. Background commands:",
             "",
             *(
-                f"- {long.name}: {first[long.name]:.0f} MB with its workers after {long.steps[0]} "
-                f"{long.done.__name__}, {last[long.name]:.0f} after {long.steps[-1]}."
-                for long in self.longs
+                f"- {command.name}: {first[command.name]:.0f} MB with its workers after {command.steps[0]} "
+                f"{command.progress.__name__}, {last[command.name]:.0f} MB after {command.steps[-1]}."
+                for command in self.background
             ),
         ]
 
     def table(self) -> list[str]:
-        """What was done how often to which job, and the memory that it took."""
-        count, first, last = self.faults.count, self.epochs[0], self.epochs[-1]
+        """Return the table of faults by job, with the peak memory."""
+        count, first, last = self.faults.count, self.rounds[0], self.rounds[-1]
 
-        def cell(job: str, counted: tuple[str, ...]) -> str:
-            numbers = [str(count[what, job]) if (what, job) in count else "–" for what in counted]
-            return ", ".join(numbers) if count[counted[0], job] else "–"
+        def cell(job: str, events: tuple[str, ...]) -> str:
+            numbers = [str(count[event, job]) if (event, job) in count else "–" for event in events]
+            return ", ".join(numbers) if count[events[0], job] else "–"
 
         memory = [f"{first[job]:.0f}, {last[job]:.0f}" if job in first else "–" for job in COLUMNS]
         rows = [
-            ("what", *COLUMNS.values(), "outcome"),
+            ("fault", *COLUMNS.values(), "outcome"),
             ("---",) * 5,
-            *((what, *(cell(job, counted) for job in COLUMNS), outcome) for what, counted, outcome in ROWS),
+            *((fault, *(cell(job, events) for job in COLUMNS), outcome) for fault, events, outcome in ROWS),
             (
                 "peak memory in the first and the last round, MB",
                 *memory,
-                f"grows by less than {FLAT - 1:.0%}",
+                f"increases by less than {MAX_GROWTH - 1:.0%}",
             ),
         ]
         return ["| " + " | ".join(row) + " |" for row in rows]
 
 
 def resident() -> float:
-    """Memory of this process alone now, MB."""
+    """Return the resident memory of this process, MB."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
-def main(words: list[str]) -> None:
-    """Soak for the minutes asked for and tell what happened."""
+def main(arguments: list[str]) -> None:
+    """Run the soak test and write its results into docs/reliability.md."""
     values = {"minutes": 20.0, "seed": 0.0}
-    for key, _, value in (word.partition("=") for word in words):
+    for key, _, value in (argument.partition("=") for argument in arguments):
         if key not in values:
             sys.exit(f"soak: got {key}, expected minutes=… or seed=…")
         values[key] = float(value)
     with tempfile.TemporaryDirectory() as folder:
         soak = Soak(Path(folder), int(values["seed"]))
-        with Meanwhile() as meanwhile:
-            soak.run(values["minutes"], meanwhile)
-        meanwhile.check()
+        with MappingThread() as mapping:
+            soak.run(values["minutes"], mapping)
+        mapping.check()
     text = "\n".join(
         [
-            f"{date.today()}: {values['minutes']:g} minutes, {len(soak.epochs)} epochs, seed {values['seed']:g}.",
+            f"{date.today()}: {values['minutes']:g} minutes, {len(soak.rounds)} rounds, seed {values['seed']:g}.",
             *soak.left_out,
             "",
             *soak.table(),
             "",
-            *soak.behind(meanwhile.passes),
+            *soak.background_report(mapping.passes),
         ]
     )
-    print(text, *soak.epochs, sep="\n")
+    print(text, *soak.rounds, sep="\n")
     soak.check()
     write_part("soak", text)
 

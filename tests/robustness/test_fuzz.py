@@ -1,4 +1,4 @@
-"""Every parser of the list reads its own examples and survives some damaged ones; `make fuzz` gives it many."""
+"""Parsers read their examples and raise documented errors for a few damaged files; `make fuzz` tests many files."""
 
 import time
 from collections import deque
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.robustness import fuzz
-from tests.robustness.fuzz import ExcessError, survives
+from tests.robustness.fuzz import ExcessError, check_parser
 from tests.robustness.parsers import PARSERS, Parser
 
 MEBIBYTE = 2**20
@@ -22,111 +22,109 @@ def test_damaged_files_get_documented_errors_only(parser: Parser, tmp_path: Path
     for number, example in enumerate(parser.examples()):
         (tmp_path / str(number)).write_bytes(example)
         parser.parse(tmp_path / str(number))
-    survives(parser, 10, 0, tmp_path / "damaged")
+    check_parser(parser, 10, 0, tmp_path / "damaged")
 
 
 @pytest.mark.parametrize(
     "words", [["minutes=soon"], ["tum-rgb", "minutes=-1"], ["minutes=nan"], ["tum-rgbd"]]
 )
-def test_what_cannot_be_fuzzed_is_told(words: list[str]) -> None:
+def test_invalid_arguments_are_reported(words: list[str]) -> None:
     with pytest.raises(SystemExit, match="fuzz: got .*, expected"):
         fuzz.main(words)
 
 
-def test_parsers_have_names_of_their_own() -> None:
+def test_parsers_have_unique_names() -> None:
     assert len({parser.name for parser in PARSERS}) == len(PARSERS)
 
 
 def lenient(parse: Callable[[Path], object]) -> Parser:
-    """A parser that documents every error."""
+    """Return a parser that documents every error."""
     return Parser("lenient", parse, lambda: [b"x" * 20], (Exception,))
 
 
-def test_a_parser_that_raises_something_else_is_found_and_the_file_stays(tmp_path: Path) -> None:
+def test_an_undocumented_error_is_detected_and_the_file_is_kept(tmp_path: Path) -> None:
     def careless(path: Path) -> object:
         return path.read_bytes()[10]
 
     with pytest.raises(IndexError):
-        survives(Parser("careless", careless, lambda: [b"x" * 20]), 200, 0, tmp_path / "damaged")
+        check_parser(Parser("careless", careless, lambda: [b"x" * 20]), 200, 0, tmp_path / "damaged")
     assert len((tmp_path / "damaged").read_bytes()) <= 10
-    survives(lenient(careless), 20, 0, tmp_path / "damaged")
+    check_parser(lenient(careless), 20, 0, tmp_path / "damaged")
     assert not (tmp_path / "damaged").exists()
 
 
-def patient(path: Path) -> None:
-    """Waits for ever, whatever is raised in it."""
+def catch_exceptions(path: Path) -> None:
+    """Wait forever and catch every Exception."""
     while True:
         with suppress(Exception):
             time.sleep(0.01)
 
 
-def deaf(path: Path) -> None:
-    """Waits long, and tells nothing of having been stopped."""
+def catch_everything(path: Path) -> None:
+    """Wait for long and catch the interruption."""
     with suppress(BaseException):
         time.sleep(60)
 
 
-def stuck(path: Path) -> None:
-    """Waits for ever in C code, which looks at no signal."""
+def block_in_c(path: Path) -> None:
+    """Block forever in C code, which handles no signal."""
     deque(repeat(0), maxlen=0)
 
 
-def greedy(path: Path) -> None:
-    """Takes too much at once, and gives it back."""
+def allocate_once(path: Path) -> None:
+    """Allocate too much memory at once and free it."""
     bytearray(b"x") * (256 * MEBIBYTE)
 
 
-def insatiable(path: Path) -> None:
-    """Takes all that it gets, whatever is raised in it."""
+def allocate_all(path: Path) -> None:
+    """Allocate all memory and catch the error."""
     held = []
     with suppress(Exception):
         while True:
             held.append(bytearray(b"x") * MEBIBYTE)
 
 
-@pytest.mark.parametrize("parse", [patient, deaf])
-def test_a_parser_that_hangs_is_found(
+@pytest.mark.parametrize("parse", [catch_exceptions, catch_everything])
+def test_a_hanging_parser_is_detected(
     parse: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fuzz, "SECONDS_EACH", 0.2)
-    with pytest.raises(ExcessError, match=r"still at one file after 0\.2 s"):
-        survives(lenient(parse), 1, 0, tmp_path / "damaged")
+    monkeypatch.setattr(fuzz, "MAX_SECONDS", 0.2)
+    with pytest.raises(ExcessError, match=r"more than 0\.2 s"):
+        check_parser(lenient(parse), 1, 0, tmp_path / "damaged")
     assert (tmp_path / "damaged").is_file()
 
 
-def test_a_parser_that_takes_too_much_memory_is_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    survives(lenient(greedy), 1, 0, tmp_path / "damaged")
-    monkeypatch.setattr(fuzz, "MEMORY", 64 * MEBIBYTE)
-    with pytest.raises(ExcessError, match="took more than 0.0625 GiB of memory"):
-        survives(lenient(greedy), 1, 0, tmp_path / "damaged")
+def test_a_parser_with_too_much_memory_is_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check_parser(lenient(allocate_once), 1, 0, tmp_path / "damaged")
+    monkeypatch.setattr(fuzz, "MAX_MEMORY", 64 * MEBIBYTE)
+    with pytest.raises(ExcessError, match=r"more than 0\.0625 GiB"):
+        check_parser(lenient(allocate_once), 1, 0, tmp_path / "damaged")
 
 
-def limited(parse: Callable[[Path], None], path: Path) -> None:
-    """What a process does that fuzzes."""
+def fuzz_with_limit(parse: Callable[[Path], None], path: Path) -> None:
+    """Run the body of a fuzzing process."""
     fuzz.limit_memory()
-    survives(lenient(parse), 1, 0, path)
+    check_parser(lenient(parse), 1, 0, path)
 
 
 @pytest.mark.parametrize(
-    ("parse", "told"), [(stuck, "Timeout (0:00:02"), (insatiable, "took more than 0.25 GiB of memory")]
+    ("parse", "message"), [(block_in_c, "Timeout (0:00:02"), (allocate_all, "more than 0.25 GiB")]
 )
-def test_what_only_ends_with_its_process_is_found(
+def test_a_parser_that_ends_only_with_its_process_is_detected(
     parse: Callable[[Path], None],
-    told: str,
+    message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """C code that holds the interpreter, and a parser that swallows the refusal of memory."""
-    monkeypatch.setattr(fuzz, "SECONDS_EACH", 1.0)
-    monkeypatch.setattr(fuzz, "MEMORY", 256 * MEBIBYTE)
-    process = get_context("fork").Process(target=limited, args=(parse, tmp_path / "damaged"))
+    """C code that blocks the interpreter, and a parser that catches the MemoryError."""
+    monkeypatch.setattr(fuzz, "MAX_SECONDS", 1.0)
+    monkeypatch.setattr(fuzz, "MAX_MEMORY", 256 * MEBIBYTE)
+    process = get_context("fork").Process(target=fuzz_with_limit, args=(parse, tmp_path / "damaged"))
     process.start()
     process.join(30)
     process.kill()
-    assert process.exitcode == 1 and told in capfd.readouterr().err
+    assert process.exitcode == 1 and message in capfd.readouterr().err
     assert (tmp_path / "damaged").is_file()
 
 
@@ -134,5 +132,5 @@ def test_a_process_that_does_not_end_has_failed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(fuzz, "GRACE", 0.0)
-    assert fuzz.apart("cache", 0.0) == fuzz.FAILED
+    assert fuzz.fuzz_in_process("cache", 0.0) == fuzz.FAILED
     assert "timed out" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Two processes train as one: shared work, one folder, the same scores; one that dies stops the job, which goes on."""
+"""Distributed training: split work, one run folder, the same scores; a lost process stops the job, which resumes."""
 
 import os
 import signal
@@ -17,9 +17,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from imagination.data.datamodule import SceneData
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.runs.checkpoint import Checkpoint, read_state
-from imagination.runs.distributed import environment
+from imagination.runs.distributed import cluster_environment
 from imagination.runs.folder import LAST
-from imagination.runs.resume import lost
+from imagination.runs.resume import lost_process_error
 from imagination.utils.process_group import rotated_by_rank
 from imagination.views.collector import Views, concatenate
 from tests.conftest import ROOT, Command
@@ -33,10 +33,10 @@ def as_rank(number: int, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LOCAL_RANK", str(number))
     monkeypatch.setenv("WORLD_SIZE", str(count))
     for module in ("data.datamodule", "callbacks.replay_buffer"):
-        monkeypatch.setattr(f"imagination.{module}.ranks", lambda: count)
+        monkeypatch.setattr(f"imagination.{module}.world_size", lambda: count)
 
 
-def test_each_process_has_scenes_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_have_different_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     modules: list[SceneData] = []
     seen: list[set[str]] = []
     for number in (0, 1):
@@ -50,9 +50,7 @@ def test_each_process_has_scenes_of_its_own(tmp_path: Path, monkeypatch: pytest.
     assert rotated_by_rank(["a", "b", "c"])[0] == "b"
 
 
-def test_held_out_views_are_shared_out_without_repetition(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_eval_views_are_split_without_overlap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     alone = list(data(tmp_path).val_dataloader())  # 7 views in batches of 3 or more
     for number in (0, 1, 2):
         as_rank(number, 3, monkeypatch)
@@ -61,7 +59,6 @@ def test_held_out_views_are_shared_out_without_repetition(
 
 
 def test_one_process_collects_as_before(tmp_path: Path) -> None:
-    """What a process does alone is what it did before there were others: the first slot is 0."""
     collector = data(tmp_path).collector(2)
     assert collector.first_slot == 0 and collector.views_per_collection == 8
     views: list[Views] = [collector.start(index)() for index in (0, 1)]
@@ -72,17 +69,17 @@ def test_one_process_collects_as_before(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("overrides", "told"),
+    ("overrides", "message"),
     [
-        (["scale.batch_size=5"], "scale.batch_size: got 5 for 2 processes, expected a multiple of 2"),
-        (["scale.scenes.train=1"], "scale.scenes.train: got 1 for 2 processes"),
-        (["scale.eval_views.val=1"], "scale.eval_views.val: got 1 for 2 processes"),
-        (["seed=1,2", "--multirun"], "trainer.devices: got 2 processes in a sweep"),
+        (["scale.batch_size=5"], "scale.batch_size: got 5 "),
+        (["scale.scenes.train=1"], "scale.scenes.train: got 1 "),
+        (["scale.eval_views.val=1"], "scale.eval_views.val: got 1 "),
+        (["seed=1,2", "--multirun"], "trainer.devices: got 2 "),
     ],
 )
-def test_what_cannot_be_shared_is_refused(command: Command, overrides: list[str], told: str) -> None:
+def test_sizes_that_cannot_be_split_are_refused(command: Command, overrides: list[str], message: str) -> None:
     done = command("train", *TWO, *overrides)
-    assert done.returncode != 0 and told in done.stderr and "Traceback" not in done.stderr, done.stderr
+    assert done.returncode != 0 and message in done.stderr and "Traceback" not in done.stderr, done.stderr
 
 
 def in_slurm(monkeypatch: pytest.MonkeyPatch, **variables: int) -> None:
@@ -94,25 +91,25 @@ def in_slurm(monkeypatch: pytest.MonkeyPatch, **variables: int) -> None:
 def test_several_tasks_of_srun_are_refused(
     command: Command, monkeypatch: pytest.MonkeyPatch, job: list[str]
 ) -> None:
-    """They would train apart from each other."""
+    """The tasks would train independently."""
     in_slurm(monkeypatch, NTASKS=4, STEP_NUM_TASKS=4, PROCID=2, LOCALID=2, NODEID=0)
     done = command("train", *job)
     assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert "srun: got 4 tasks, which would train apart from each other; expected one" in done.stderr
+    assert "srun: got 4 tasks" in done.stderr
 
 
-def test_hosts_that_nobody_starts_are_refused(command: Command) -> None:
+def test_several_hosts_without_torchrun_are_refused(command: Command) -> None:
     done = command("train", *JOB, "trainer.num_nodes=2")
     assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert "trainer.num_nodes: got 2 without torchrun" in done.stderr
+    assert "trainer.num_nodes: got 2 " in done.stderr
 
 
 @pytest.mark.parametrize("devices", [1, 2])
 def test_a_process_in_a_slurm_job_is_the_first(monkeypatch: pytest.MonkeyPatch, devices: int) -> None:
-    """Whatever its number among the tasks, such as those that run Ray: else it would log nothing."""
+    """Otherwise a process with another SLURM task number, such as a Ray worker, would log nothing."""
     in_slurm(monkeypatch, NTASKS=4, PROCID=3, LOCALID=3, NODEID=1)
-    monkeypatch.setattr(rank_zero_only, "rank", 3)  # what Lightning gets out of these
-    trainer = Trainer(accelerator="cpu", devices=devices, logger=False, plugins=[environment()])
+    monkeypatch.setattr(rank_zero_only, "rank", 3)  # the rank that Lightning derives from these variables
+    trainer = Trainer(accelerator="cpu", devices=devices, logger=False, plugins=[cluster_environment()])
     assert trainer.is_global_zero and trainer.world_size == devices and rank_zero_only.rank == 0
 
 
@@ -123,19 +120,19 @@ def test_a_process_in_a_slurm_job_is_the_first(monkeypatch: pytest.MonkeyPatch, 
 def test_one_process_in_a_slurm_job_trains(
     command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: dict[str, int]
 ) -> None:
-    """A batch script, which runs once whatever number of tasks it may start; and what another task has started."""
+    """A batch script, and a process that was started by another task."""
     in_slurm(monkeypatch, **place, LOCALID=0, NODEID=place["PROCID"])
     done = command("train", *JOB, timeout=600)
     assert done.returncode == 0, done.stderr
     assert scalars(tmp_path / "outputs" / "chair_unet" / "latest", "test/loss")
 
 
-def test_a_checkpoint_is_named_if_there_is_one(tmp_path: Path) -> None:
-    assert "no round was finished, so start the same command again" in str(lost(tmp_path))
+def test_the_error_of_a_lost_process_names_the_checkpoint(tmp_path: Path) -> None:
+    assert "ckpt_path" not in str(lost_process_error(tmp_path))
     last = tmp_path / LAST
     last.parent.mkdir()
     last.touch()
-    assert f"go on with the same command and ckpt_path={last}" in str(lost(tmp_path))
+    assert f"ckpt_path={last}" in str(lost_process_error(tmp_path))
 
 
 def events(folder: Path, tag: str) -> list[ScalarEvent]:
@@ -151,7 +148,7 @@ def scalars(folder: Path, tag: str) -> list[float]:
 @pytest.mark.slow
 def test_scores_are_those_of_one_process(command: Command, tmp_path: Path) -> None:
     """Two processes train and are tested; one process then tests the same checkpoint: the same tables and loss."""
-    views = "scale.eval_views={val: 9, test: 9}"  # of which a batch takes 4: one is left over
+    views = "scale.eval_views={val: 9, test: 9}"  # in batches of 4: one view remains
     done = command("train", *TWO, views, timeout=1200)
     assert done.returncode == 0, done.stderr
     folders = [path for path in (tmp_path / "outputs" / "chair_unet").iterdir() if not path.is_symlink()]
@@ -168,21 +165,19 @@ def test_scores_are_those_of_one_process(command: Command, tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize("victim", [0, 1])
-def test_a_process_that_dies_stops_the_job_and_it_goes_on(
-    command: Command, tmp_path: Path, victim: int
-) -> None:
+def test_a_killed_process_stops_the_job_which_resumes(command: Command, tmp_path: Path, victim: int) -> None:
     long = ["scale.epochs=100000", "scale.eval_every=100000"]
-    with open(tmp_path / "told", "w") as told:
+    with open(tmp_path / "stderr", "w") as stderr:
         process = subprocess.Popen(
             [sys.executable, "-m", "imagination.train", *TWO, *long],
             cwd=tmp_path,
             env=os.environ | {"PYTHONPATH": str(ROOT)},
-            stderr=told,
+            stderr=stderr,
         )
     last = tmp_path / "outputs" / "chair_unet" / "latest" / "checkpoints" / "last.ckpt"
     try:
         while not last.is_file():
-            assert process.poll() is None, (tmp_path / "told").read_text()
+            assert process.poll() is None, (tmp_path / "stderr").read_text()
             time.sleep(0.1)
         other = child_of(process.pid)
         os.kill((process.pid, other)[victim], signal.SIGKILL)
@@ -193,27 +188,27 @@ def test_a_process_that_dies_stops_the_job_and_it_goes_on(
         assert not Path(f"/proc/{other}").exists()
     finally:
         process.kill()
-    text = (tmp_path / "told").read_text()
-    assert "another of the processes that train together is gone" in text, text
+    text = (tmp_path / "stderr").read_text()
+    assert "another training process has ended" in text, text
     assert f"ckpt_path={last.relative_to(tmp_path).parts[0]}" in text
     epochs = read_state(last)["epoch"] + 1
     before = Checkpoint.read(last).record["samples"]
     done = command("train", *TWO, *long, "resume=latest", f"trainer.max_epochs={epochs + 1}", timeout=1200)
     assert done.returncode == 0, done.stderr
     assert read_state(last)["epoch"] == epochs
-    # one more round and no other: the counts of those before it came out of the checkpoint
+    # exactly one more epoch: the counts of the earlier epochs come from the checkpoint
     assert Checkpoint.read(last).record["samples"] == before * (epochs + 1) // epochs
     steps = read_state(last)["global_step"]
     assert (
         steps * read_state(last)["imagination"]["values"]["scale"]["batch_size"]
         == before * (epochs + 1) // epochs
     )
-    rounds_logged = [event.step for event in events(last.parent.parent, "train/waiting")]
-    assert rounds_logged == sorted(set(rounds_logged)) and len(rounds_logged) == epochs + 1
+    epochs_logged = [event.step for event in events(last.parent.parent, "train/waiting")]
+    assert epochs_logged == sorted(set(epochs_logged)) and len(epochs_logged) == epochs + 1
 
 
 def child_of(pid: int) -> int:
-    """The process that Lightning started beside the first."""
+    """Return the id of the process that Lightning started from rank 0."""
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])

@@ -1,4 +1,4 @@
-"""Training and evaluation where there is a CUDA GPU."""
+"""Training and evaluation on a CUDA GPU."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from tests.conftest import Command
 from tests.helpers.batches import random_batch
 from tests.helpers.checkpoints import make_checkpoint
 
-pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA GPU here")
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA GPU")
 
 
 @pytest.mark.slow
@@ -38,7 +38,7 @@ def test_the_same_seed_gives_the_same_weights_and_tables(
 
 
 def test_a_gpu_and_the_cpu_agree(tmp_path: Path) -> None:
-    """In single precision; convolutions on a GPU take 10 bits of the factors (TF32)."""
+    """In single precision; convolutions on a GPU round the factors to 10 bits (TF32)."""
     checkpoint = Checkpoint.read(make_checkpoint(tmp_path / "chair.ckpt", "+experiment=chair_unet"))
     batch = random_batch(4, 48, 31)
     on_cpu, on_gpu = (checkpoint.model().to(device).predict(batch).maps.cpu() for device in ("cpu", "cuda"))

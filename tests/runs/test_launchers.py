@@ -1,4 +1,4 @@
-"""Sweeps on all cores of a machine and on a Ray cluster: the same results, failures told, killed workers replaced."""
+"""Sweeps on all cores of a machine and on a Ray cluster: same results, failures reported, killed workers replaced."""
 
 import json
 import os
@@ -24,7 +24,7 @@ SWEEP = ["train", "-m", "+experiment=chair_unet", "scale=test", "scale.workers=0
 
 
 def tables(outputs: Path) -> dict[str, bytes]:
-    """Each member's tables by its folder."""
+    """Return the tables of each job by folder."""
     found = {}
     for path in sorted(outputs.glob("*/multirun_*/*/tables/*.csv")):
         found["/".join(path.parts[-3:])] = path.read_bytes()
@@ -32,7 +32,7 @@ def tables(outputs: Path) -> dict[str, bytes]:
 
 
 def weights(outputs: Path) -> dict[str, dict[str, bytes]]:
-    """What each member has learned, which shows the smallest difference."""
+    """Return the weights of each job, which show the smallest difference."""
     from imagination.runs.checkpoint import read_state
 
     found = {
@@ -49,13 +49,13 @@ def weights(outputs: Path) -> dict[str, dict[str, bytes]]:
 def test_the_results_are_the_same_as_without(
     command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, launcher: str, threads: str
 ) -> None:
-    """With as many threads as a member gets: hydra.launcher.num_cpus with Ray, a core's share with joblib."""
+    """Compare at the number of threads of a job: hydra.launcher.num_cpus with Ray, one with joblib."""
     pytest.importorskip(launcher)
     monkeypatch.setenv("OMP_NUM_THREADS", threads)
     done = command(*SWEEP, f"paths.outputs={tmp_path / 'alone'}", timeout=900)
     assert done.returncode == 0, done.stderr
     monkeypatch.delenv("OMP_NUM_THREADS")
-    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # another cluster, which was not asked for
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")  # another cluster, which must not be used
     spread = f"hydra/launcher={launcher}", f"paths.outputs={tmp_path / 'spread'}"
     done = command(*SWEEP, *spread, timeout=900)
     assert done.returncode == 0, done.stderr
@@ -65,10 +65,10 @@ def test_the_results_are_the_same_as_without(
 
 
 @pytest.mark.slow
-def test_a_cluster_of_two_hosts_shares_the_members(
+def test_a_cluster_of_two_hosts_runs_the_jobs(
     command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A member fills a host, which has one core. They are in a SLURM allocation, where srun started Ray."""
+    """A job fills a host, which has one core. The hosts are in a SLURM allocation, where srun started Ray."""
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
@@ -103,7 +103,7 @@ def test_a_cluster_of_two_hosts_shares_the_members(
 
 
 @pytest.mark.slow
-def test_a_member_that_fails_is_told_and_the_others_finish(command: Command, tmp_path: Path) -> None:
+def test_a_failed_job_is_reported_and_the_others_finish(command: Command, tmp_path: Path) -> None:
     pytest.importorskip("ray")
     words = [*SWEEP[:-1], "kernels.imaginable=-1,1.0", "hydra/launcher=ray", "trainer.fast_dev_run=true"]
     done = command(*words, timeout=600)
@@ -119,34 +119,34 @@ def test_a_killed_workers_task_is_retried(command: Command, tmp_path: Path) -> N
     done = command(*long, f"paths.outputs={tmp_path / 'alone'}", timeout=900)
     assert done.returncode == 0, done.stderr
     words = [*long, "hydra/launcher=ray", f"paths.outputs={tmp_path / 'outputs'}"]
-    with open(tmp_path / "told", "w") as told:
+    with open(tmp_path / "output", "w") as output:
         sweep = subprocess.Popen(
             [sys.executable, "-m", f"imagination.{words[0]}", *words[1:]],
             cwd=tmp_path,
             env=os.environ | {"PYTHONPATH": str(ROOT)},
-            stdout=told,
-            stderr=told,
+            stdout=output,
+            stderr=output,
         )
     try:
         while not (victims := workers(sweep.pid)) or not list(
             tmp_path.glob("outputs/chair_unet/*/*/run.log")
         ):
-            assert sweep.poll() is None, (tmp_path / "told").read_text()
+            assert sweep.poll() is None, (tmp_path / "output").read_text()
             time.sleep(0.2)
         os.kill(victims[0], signal.SIGKILL)
-        assert sweep.wait(900) == 0, (tmp_path / "told").read_text()
+        assert sweep.wait(900) == 0, (tmp_path / "output").read_text()
     finally:
         sweep.kill()
     assert tables(tmp_path / "outputs") == tables(tmp_path / "alone") != {}
 
 
 @pytest.mark.slow
-def test_a_member_that_is_lost_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_job_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("ray")
     monkeypatch.syspath_prepend(str(ROOT / "plugins" / "ray"))
     from hydra_plugins.imagination_ray.launcher import RayLauncher
 
-    class Composer:  # defined here, so that it is sent to workers as a whole
+    class Composer:  # a local class is pickled by value for the workers
         def load_sweep_config(self, config: DictConfig, overrides: list[str]) -> DictConfig:
             if overrides == ["killed"]:
                 os.kill(os.getpid(), signal.SIGKILL)
@@ -159,19 +159,19 @@ def test_a_member_that_is_lost_stops_no_other(tmp_path: Path, monkeypatch: pytes
     launcher = RayLauncher("local", num_cpus=0.1, num_gpus=0, max_retries=0)
     context = HydraContext(Composer(), Callbacks())  # type: ignore[arg-type]
     launcher.setup(hydra_context=context, task_function=print, config=config)
-    told = r"3 of 3 members failed: 0 \(killed\), 1 \(refused\), 2 \(late\);.*sweep_dir=the_sweep"
-    with pytest.raises(UserError, match=told):
+    message = r"3 of 3 .*0 \(killed\), 1 \(refused\), 2 \(late\).*sweep_dir=the_sweep"
+    with pytest.raises(UserError, match=message):
         launcher.launch([["killed"], ["refused"], ["late"]], 0)
     assert (tmp_path / "late").is_file()
 
 
 @pytest.mark.slow
-def test_parts_of_a_corpus_are_rendered_on_ray(command: Command, tmp_path: Path) -> None:
+def test_parts_of_a_dataset_are_rendered_on_ray(command: Command, tmp_path: Path) -> None:
     pytest.importorskip("ray")
     words = ["scale=test", "scale.scenes.train=3", "views=8"]
     spread = ["-m", "parts=2", "part=0,1", "hydra/launcher=ray"]
-    for folder, choice in (("alone", []), ("spread", spread)):
-        done = command("prepare_shards", *choice, *words, f"shards={folder}", timeout=600)
+    for folder, options in (("alone", []), ("spread", spread)):
+        done = command("prepare_shards", *options, *words, f"shards={folder}", timeout=600)
         assert done.returncode == 0, done.stderr
     alone, together = (
         {path.name: path.read_bytes() for path in (tmp_path / folder).glob("chunk-*.bin")}
@@ -187,15 +187,15 @@ def test_evaluations_on_ray_are_the_same_as_without(command: Command, tmp_path: 
     pytest.importorskip("ray")
     checkpoint = make_checkpoint(tmp_path / "chair.ckpt", "+experiment=chair_unet")
     words = ["evaluate", "-m", f"ckpt={checkpoint}", "evaluation.cell_widths=[3.0],[2.5]"]
-    for outputs, choice in (("alone", []), ("spread", ["hydra/launcher=ray"])):
-        done = command(*words, *choice, f"paths.outputs={tmp_path / outputs}", timeout=600)
+    for outputs, options in (("alone", []), ("spread", ["hydra/launcher=ray"])):
+        done = command(*words, *options, f"paths.outputs={tmp_path / outputs}", timeout=600)
         assert done.returncode == 0, done.stderr
     alone, spread = tables(tmp_path / "alone"), tables(tmp_path / "spread")
     assert alone == spread and {"0/tables/mapping.csv", "1/tables/mapping.csv"} <= alone.keys()
 
 
 def workers(ancestor: int) -> list[int]:
-    """Ray's workers that run a member, among the descendants of a process."""
+    """Return the Ray workers that run a job, among the descendants of a process."""
     parents, found = {}, []
     for folder in Path("/proc").glob("[0-9]*"):
         try:

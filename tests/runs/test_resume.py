@@ -1,4 +1,4 @@
-"""Going on with a run, and what a stranger's files may not do."""
+"""Resuming of runs, checkpoints, and refusal of code in untrusted files."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ from imagination.config.trust import check_targets
 from imagination.models.encoders import create
 from imagination.models.schedulers import CosineAnnealing
 from imagination.runs.checkpoint import KEY, Checkpoint, CheckpointFiles, ConfigInCheckpoint, read_state
-from imagination.runs.folder import LAST, create_folder, point_latest, take_back_latest
+from imagination.runs.folder import LAST, create_folder, point_latest, restore_latest
 from imagination.utils.errors import UserError
 from tests.conftest import ROOT, Command
 
@@ -34,17 +34,17 @@ def config(*overrides: str) -> DictConfig:
     return composed
 
 
-def checkpoint(path: Path, description: dict[str, Any] | None = None) -> Path:
-    """A checkpoint of an untrained unit, or with a description of one's own."""
+def checkpoint(path: Path, saved_config: dict[str, Any] | None = None) -> Path:
+    """Write a checkpoint of an untrained unit, with its own or a given saved config."""
     whole = config("seed=7", "model.loss.alpha_max=12.0")
     state = {"state_dict": instantiate(whole.model.module).state_dict()}
     CheckpointFiles().save_checkpoint(
-        {**state, KEY: description or ConfigInCheckpoint(whole).description}, path
+        {**state, KEY: saved_config or ConfigInCheckpoint(whole).saved_config}, path
     )
     return path
 
 
-def test_a_checkpoint_brings_its_values_and_no_targets(tmp_path: Path) -> None:
+def test_a_checkpoint_holds_values_and_no_targets(tmp_path: Path) -> None:
     state = read_state(checkpoint(tmp_path / "a.ckpt"))
     assert "_target_" not in str(state[KEY]) and str(Path.cwd()) not in str(state[KEY])
     read = Checkpoint.read(tmp_path / "a.ckpt")
@@ -55,9 +55,9 @@ def test_a_checkpoint_brings_its_values_and_no_targets(tmp_path: Path) -> None:
     )
     assert read.config.model.unit._target_ == "imagination.models.imagination_unit.ImaginationUnit"
     assert read.model().loss.alpha_max == 12.0
-    read.require(config())
-    with pytest.raises(UserError, match=r"is of chair at 0.12 m a cell, but .* asks for chair at 0.06 m"):
-        read.require(config("scale=small"))
+    read.check_compatible(config())
+    with pytest.raises(UserError, match=r"chair .*0\.12 m.* chair .*0\.06 m"):
+        read.check_compatible(config("scale=small"))
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_a_checkpoint_brings_its_values_and_no_targets(tmp_path: Path) -> None:
         ([], {"name": "${oc.env:HOME}"}),
     ],
 )
-def test_a_strangers_checkpoint_names_no_code(
+def test_an_untrusted_checkpoint_names_no_code(
     tmp_path: Path, choices: list[str], values: dict[str, Any]
 ) -> None:
     path = checkpoint(tmp_path / "a.ckpt", {"choices": choices, "values": values})
@@ -85,43 +85,42 @@ def test_a_checkpoint_of_pretrained_weights_needs_no_download(
     state = {"state_dict": instantiate(whole.model.module).state_dict()}
     whole.model.encoder.pretrained = True
     CheckpointFiles().save_checkpoint(
-        {**state, KEY: ConfigInCheckpoint(whole).description}, tmp_path / "a.ckpt"
+        {**state, KEY: ConfigInCheckpoint(whole).saved_config}, tmp_path / "a.ckpt"
     )
-    asked = []
+    requested = []
     monkeypatch.setattr(
         "imagination.models.encoders.create",
-        lambda name, pretrained, options: asked.append(pretrained) or create(name, False, options),
+        lambda name, pretrained, options: requested.append(pretrained) or create(name, False, options),
     )
     assert Checkpoint.read(tmp_path / "a.ckpt").config.model.encoder.pretrained
     Checkpoint.read(tmp_path / "a.ckpt").model()
-    assert asked and not any(asked)
+    assert requested and not any(requested)
 
 
-def test_damaged_checkpoints_are_told(tmp_path: Path) -> None:
+def test_damaged_checkpoints_are_refused(tmp_path: Path) -> None:
     path = checkpoint(tmp_path / "a.ckpt")
     content = path.read_bytes()
     for end in (0, 10, len(content) // 2, len(content) - 1):
         path.write_bytes(content[:end])
-        with pytest.raises(UserError, match="truncated"):
+        with pytest.raises(UserError, match="a.ckpt: cannot be read"):
             Checkpoint.read(path)
     torch.save({"x": 1}, path)
-    with pytest.raises(UserError, match="was not written by imagination.train"):
+    with pytest.raises(UserError, match="a.ckpt: was not written"):
         Checkpoint.read(path)
     torch.save({"x": subprocess.Popen}, path)  # not plain data
-    with pytest.raises(UserError, match="more than plain data"):
+    with pytest.raises(UserError, match="a.ckpt: cannot be read"):
         Checkpoint.read(path)
-    with pytest.raises(UserError, match="there is no such file"):
+    with pytest.raises(UserError, match="got .*b.ckpt"):
         Checkpoint.read(tmp_path / "b.ckpt")
 
 
-def test_a_checkpoint_of_another_model_is_told(tmp_path: Path) -> None:
-    values = ConfigInCheckpoint(config()).description["values"]
+def test_a_checkpoint_of_another_model_is_refused(tmp_path: Path) -> None:
+    values = ConfigInCheckpoint(config()).saved_config["values"]
     values["scale"]["unit_width"] = values["model"]["backbone"]["width"] = 8
     for unit in (values["model"]["unit"], values["model"]["module"]["unit"]):
         unit["backbone"]["width"] = 8
     path = checkpoint(tmp_path / "a.ckpt", {"choices": JOB, "values": values})
-    first = r"its weights do not fit .* entries differ, first [\w.]+: got \(\d.*?\), expected \(\d"
-    with pytest.raises(UserError, match=first):
+    with pytest.raises(UserError, match=r"a\.ckpt: .*weights.* [\w.]+: got \(\d.*?\), expected \(\d"):
         Checkpoint.read(path).model()
 
 
@@ -152,22 +151,22 @@ def test_a_hidden_target_is_refused() -> None:
         check_targets(hidden)
 
 
-def test_a_run_goes_on_with_its_own_config_only(command: Command, tmp_path: Path) -> None:
+def test_a_resumed_run_keeps_its_config(command: Command, tmp_path: Path) -> None:
     assert command("train", *JOB, "seed=3", "trainer.max_epochs=1").returncode == 0
     for refused in ("seed=4", "scale=small", "model=projected"):
         done = command("train", "resume=latest", refused)
-        assert done.returncode == 2 and f"got {refused}, but a run goes on with its own config" in done.stderr
-    # what it began with may be said again, as a job of a cluster does that is started once more
+        assert done.returncode == 2 and f"resume: got {refused}" in done.stderr
+    # equal overrides are allowed, as for a cluster job that is started again
     done = command("train", *JOB, "seed=3", "resume=latest", "trainer.max_epochs=2", "trainer.num_nodes=1")
     assert done.returncode == 0, done.stderr
     runs = [path for path in (tmp_path / "outputs" / "chair_unet").iterdir() if not path.is_symlink()]
     assert len(runs) == 1
-    description = read_state(runs[0] / "checkpoints" / "last.ckpt")
-    assert description["epoch"] == 1 and description[KEY]["values"]["seed"] == 3
+    state = read_state(runs[0] / "checkpoints" / "last.ckpt")
+    assert state["epoch"] == 1 and state[KEY]["values"]["seed"] == 3
     composed = runs[0] / "composed.yaml"
     text = composed.read_text()
     lines = text.splitlines(keepends=True)
-    cut = [lines[:-1], lines[: lines.index("resume: null\n")], []]  # valid YAML all of them
+    cut = [lines[:-1], lines[: lines.index("resume: null\n")], []]  # all of them are valid YAML
     damages = ["".join(some) for some in cut] + [text[: len(text) // 2], "["]
     for damaged in (*damages, text.replace("torch.optim.Adam", "os.system")):
         composed.write_text(damaged)
@@ -176,7 +175,7 @@ def test_a_run_goes_on_with_its_own_config_only(command: Command, tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_run_goes_on_with_a_corpus_that_was_moved(command: Command, tmp_path: Path) -> None:
+def test_a_run_resumes_with_a_moved_dataset(command: Command, tmp_path: Path) -> None:
     pytest.importorskip("litdata")
     assert command("prepare_shards", "scale=test", "views=8", "shards=before").returncode == 0
     job = [*JOB, "data=shards"]
@@ -209,8 +208,8 @@ def test_the_best_checkpoint_is_known_after_a_move(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_every_experiment_trains_stops_and_goes_on(command: Command, tmp_path: Path, experiment: str) -> None:
-    """One real round with its checkpoint, a second one after resuming, the final tables."""
+def test_every_experiment_trains_and_resumes(command: Command, tmp_path: Path, experiment: str) -> None:
+    """One epoch with its checkpoint, a second one after resuming, and the final tables."""
     job = [f"+experiment={experiment}", "scale=test"]
     done = command("train", *job, "trainer.max_epochs=1", timeout=900)
     assert done.returncode == 0, done.stderr
@@ -223,13 +222,13 @@ def test_every_experiment_trains_stops_and_goes_on(command: Command, tmp_path: P
     assert last["epoch"] == 1
     assert any(not torch.equal(first[name], last["state_dict"][name]) for name in first)
     rows = (run / "tables" / "mapping.csv").read_text().splitlines()
-    assert rows[0].startswith("approach,category,cell_width,runs,iou_pooled") and len(rows) > 4
+    assert rows[0].startswith("approach,category,cell_width,trials,iou_pooled") and len(rows) > 4
 
 
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_tables(tmp_path: Path, command: Command) -> None:
-    """Twice, each with a cold cache of its own; another seed gives others. In bfloat16, as at small scale."""
-    learning = ["scale.epochs=10", "scale.learning_rate=0.01"]  # units that know nothing all answer the same
+    """Two trainings with separate empty caches; another seed gives other tables. In bfloat16, as at small scale."""
+    learning = ["scale.epochs=10", "scale.learning_rate=0.01"]  # predictions of untrained units are all equal
     job = [*JOB, *learning, "scale.precision=bf16-mixed"]
     for folder, seed in (("one", 5), ("two", 5), ("other", 6)):
         done = command("train", *job, f"seed={seed}", f"paths.outputs={folder}", timeout=900)
@@ -258,13 +257,13 @@ def test_the_same_seed_gives_the_same_tables(tmp_path: Path, command: Command) -
 def test_a_killed_run_ends_as_an_uninterrupted_one(
     tmp_path: Path, command: Command, experiment: str, moment: float
 ) -> None:
-    """SIGKILL some seconds after the first checkpoint, move the folder, resume: the same weights, tables and curves."""
+    """SIGKILL after the first checkpoint, move the folder, resume: the same weights, tables and curves."""
     job = [f"+experiment={experiment}", "scale=test", "scale.eval_every=2", "scale.workers=1"]
-    if experiment == "segmentation_hrnet":  # six epochs: beyond those in which its rate falls, until flat
+    if experiment == "segmentation_hrnet":  # six epochs, beyond those in which its learning rate falls
         job += [
             "scale.hrnet_max_epochs=8",
             "callbacks.early_stopping.patience=5",
-            "callbacks.early_stopping.margin=1.0",
+            "callbacks.early_stopping.min_delta=1.0",
         ]
     else:
         job += ["scale.epochs=6", "scale.final_learning_rate=0.00001"]
@@ -285,7 +284,7 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(
     time.sleep(moment)
     os.killpg(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
-    (broken / experiment / "latest" / ".last.ckpt.x.part").mkdir()  # as a kill while saving leaves it
+    (broken / experiment / "latest" / ".last.ckpt.x.part").mkdir()  # as left by a kill while saving
     broken = broken.rename(tmp_path / "moved")
     done = command("train", "resume=latest", f"paths.outputs={broken}", timeout=900)
     assert done.returncode == 0, done.stderr
@@ -301,13 +300,13 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(
     curves = [points(outputs / experiment / "latest" / "tensorboard") for outputs in (whole, broken)]
     assert curves[0] == curves[1] and len(curves[0]["train/loss"]) == 12
     rates = {state["lr_schedulers"][0]["_last_lr"][0] for state in (one, other)}
-    assert len(rates) == 1 and rates.pop() < 0.0001  # the cosine came down
+    assert len(rates) == 1 and rates.pop() < 0.0001  # the end of the cosine schedule
     if experiment == "chair_unet":
         assert len(curves[0]["val/iou"]) == 3
 
 
 def points(folder: Path) -> dict[str, list[int]]:
-    """Steps of each curve and picture that TensorBoard reads from a run's event files."""
+    """Return the steps of each curve and image in the event files of a run."""
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     events = EventAccumulator(str(folder), size_guidance={"scalars": 0, "images": 0}).Reload()
@@ -315,7 +314,7 @@ def points(folder: Path) -> dict[str, list[int]]:
     return curves | {tag: [event.step for event in events.Images(tag)] for tag in events.Tags()["images"]}
 
 
-def test_a_run_that_goes_on_beyond_its_rounds_keeps_the_final_rate() -> None:
+def test_a_run_beyond_its_schedule_keeps_the_final_learning_rate() -> None:
     def schedule(kind: type, epochs: int, resumed: bool = False) -> list[float]:
         optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=0.1)
         scheduler, rates = kind(optimizer, T_max=5, eta_min=0.001), []
@@ -323,7 +322,7 @@ def test_a_run_that_goes_on_beyond_its_rounds_keeps_the_final_rate() -> None:
             rates.append(optimizer.param_groups[0]["lr"])
             optimizer.step()
             scheduler.step()
-            if resumed and number == 4:  # a checkpoint after the last round of the plan
+            if resumed and number == 4:  # a checkpoint after the last epoch of the schedule
                 states = optimizer.state_dict(), scheduler.state_dict()
                 optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=0.1)
                 scheduler = kind(optimizer, T_max=5, eta_min=0.001)
@@ -332,23 +331,23 @@ def test_a_run_that_goes_on_beyond_its_rounds_keeps_the_final_rate() -> None:
         return rates
 
     plain = schedule(torch.optim.lr_scheduler.CosineAnnealingLR, 12)
-    assert max(plain[6:]) > 0.09  # PyTorch's own
+    assert max(plain[6:]) > 0.09  # PyTorch restarts the cosine
     for resumed in (False, True):
         ours = schedule(CosineAnnealing, 12, resumed)
         assert ours[:6] == plain[:6]
         assert ours[6:] == [ours[5]] * 6 and ours[5] == pytest.approx(0.001)
 
 
-def test_latest_goes_back_to_where_it_pointed(tmp_path: Path) -> None:
+def test_latest_is_restored(tmp_path: Path) -> None:
     old, new = (create_folder(tmp_path, name) for name in ("old", "new"))
     assert point_latest(old) is None
-    before = point_latest(new)
-    assert before == "old"
-    take_back_latest(new, before)
+    previous = point_latest(new)
+    assert previous == "old"
+    restore_latest(new, previous)
     assert (tmp_path / "latest").readlink() == Path("old")
-    take_back_latest(new, before)  # another run has taken it since
+    restore_latest(new, previous)  # latest points to another run now
     assert (tmp_path / "latest").readlink() == Path("old")
-    take_back_latest(old, None)
+    restore_latest(old, None)
     assert not (tmp_path / "latest").is_symlink()
 
 

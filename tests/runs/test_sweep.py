@@ -1,4 +1,4 @@
-"""Sweeps: members run for themselves, what is done is never done again, and the end tells what failed."""
+"""Sweeps: independent jobs, no job runs twice, and failures are reported at the end."""
 
 import os
 import shlex
@@ -17,8 +17,8 @@ from imagination.config.user_messages import explain
 from imagination.runs import sweep_jobs
 from imagination.runs.folder import LAST
 from imagination.runs.locking import locked
-from imagination.runs.run_summary import settings
-from imagination.runs.sweep_jobs import key_of
+from imagination.runs.run_summary import hyperparameters
+from imagination.runs.sweep_jobs import config_key
 from imagination.utils.errors import UserError
 from tests.conftest import ROOT, Command
 
@@ -35,7 +35,7 @@ def only(pattern: Path) -> Path:
     return path
 
 
-def test_members_are_numbered_in_order_and_found_again(tmp_path: Path) -> None:
+def test_jobs_are_numbered_in_order_and_found_again(tmp_path: Path) -> None:
     for key in ("a", "b", "a", "c"):
         sweep_jobs.register(tmp_path, key, ["seed=1", "name='x, y'"])
     assert [(job.folder, job.key) for job in sweep_jobs.read(tmp_path)] == [
@@ -47,13 +47,13 @@ def test_members_are_numbered_in_order_and_found_again(tmp_path: Path) -> None:
     assert states(tmp_path) == ["missing", "failed", "missing"]
 
 
-def test_members_enrol_at_once(tmp_path: Path) -> None:
+def test_jobs_register_concurrently(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda number: sweep_jobs.register(tmp_path, str(number % 10), []), range(40)))
     assert sorted(int(job.folder) for job in sweep_jobs.read(tmp_path)) == list(range(10))
 
 
-def test_a_killed_member_counts_as_stopped(tmp_path: Path) -> None:
+def test_a_killed_job_counts_as_stopped(tmp_path: Path) -> None:
     job = sweep_jobs.register(tmp_path, "a", [])
     sweep_jobs.update(tmp_path, "a", state="running")
     with locked(tmp_path, sweep_jobs.lock_name(job)):
@@ -61,70 +61,70 @@ def test_a_killed_member_counts_as_stopped(tmp_path: Path) -> None:
     assert states(tmp_path) == ["stopped"]
 
 
-def test_a_folder_that_is_no_sweep_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="holds no jobs.csv"):
+def test_a_folder_without_a_sweep_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="sweep .*jobs.csv"):
         sweep_jobs.read(tmp_path)
-    head = ",".join(sweep_jobs.Member._fields)
-    for text, told in (
-        (b"folder,key\n0,a\n", "its columns are not folder,key,state"),
-        (f"{head}\n0,a,done\n".encode(), "line 2 does not fit the header"),
-        (f"{head}\n../../x,a,running,,,\n".encode(), "got the folder '../../x', expected a number"),
+    head = ",".join(sweep_jobs.Job._fields)
+    for text, message in (
+        (b"folder,key\n0,a\n", "folder,key,state"),
+        (f"{head}\n0,a,done\n".encode(), "line 2"),
+        (f"{head}\n../../x,a,running,,,\n".encode(), "got the folder '../../x'"),
         (b"\xff\xfe", "can't decode"),
     ):
         (tmp_path / sweep_jobs.FILE).write_bytes(text)
-        with pytest.raises(UserError, match=rf"jobs.csv: cannot be read .*{told}"):
+        with pytest.raises(UserError, match=rf"jobs.csv: cannot be read .*{message}"):
             sweep_jobs.read(tmp_path)
 
 
-def test_a_key_is_of_what_is_computed() -> None:
-    key = key_of(compose("train", JOB))
-    assert key == key_of(compose("train", [*JOB, "paths.outputs=elsewhere", "sweep_dir=old"]))
-    assert key == key_of(compose("train", [*JOB, "+sweep=dilation"]))
-    assert key == key_of(compose("train", [*JOB, "cache.max_gigabytes=5"]))
+def test_a_key_depends_on_the_results_only() -> None:
+    key = config_key(compose("train", JOB))
+    assert key == config_key(compose("train", [*JOB, "paths.outputs=elsewhere", "sweep_dir=old"]))
+    assert key == config_key(compose("train", [*JOB, "+sweep=dilation"]))
+    assert key == config_key(compose("train", [*JOB, "cache.max_gigabytes=5"]))
     for change in ("seed=1", "kernels.imaginable=1.2", "mapping/registration=mean", "trainer.max_epochs=3"):
-        assert key != key_of(compose("train", [*JOB, change]))
-    trained = key_of(compose("train", JOB), sweep_jobs.EVALUATION_ONLY)
+        assert key != config_key(compose("train", [*JOB, change]))
+    trained = config_key(compose("train", JOB), sweep_jobs.EVALUATION_ONLY)
     for change in ("mapping/registration=mean", "scale.cell_widths=[1.0]", "evaluation.seed=3"):
-        assert trained == key_of(compose("train", [*JOB, change]), sweep_jobs.EVALUATION_ONLY)
+        assert trained == config_key(compose("train", [*JOB, change]), sweep_jobs.EVALUATION_ONLY)
     for change in ("seed=1", "kernels.imaginable=1.2", "model=projected"):
-        assert trained != key_of(compose("train", [*JOB, change]), sweep_jobs.EVALUATION_ONLY)
+        assert trained != config_key(compose("train", [*JOB, change]), sweep_jobs.EVALUATION_ONLY)
 
 
-def test_a_checkpoint_is_known_by_its_place(tmp_path: Path) -> None:
+def test_a_checkpoint_is_identified_by_its_resolved_path(tmp_path: Path) -> None:
     (tmp_path / "latest").symlink_to("run")
-    keys = {key_of(compose("evaluate", [f"ckpt={tmp_path}/{name}/a.ckpt"])) for name in ("latest", "run")}
+    keys = {config_key(compose("evaluate", [f"ckpt={tmp_path}/{name}/a.ckpt"])) for name in ("latest", "run")}
     assert len(keys) == 1
-    assert key_of(compose("evaluate", [f"ckpt={tmp_path}/other/a.ckpt"])) not in keys
+    assert config_key(compose("evaluate", [f"ckpt={tmp_path}/other/a.ckpt"])) not in keys
 
 
 @pytest.mark.parametrize("option", ["hydra/launcher/joblib", "hydra/sweeper/optuna"])
-def test_a_missing_extra_says_how_to_install_it(option: str) -> None:
+def test_a_missing_extra_is_reported_with_its_installation(option: str) -> None:
     from hydra.errors import MissingConfigException
 
-    told = explain(
+    message = explain(
         MissingConfigException(f"In 'train': Could not find '{option}'\n\nAvailable options: basic")
     )
-    assert told is not None and told.endswith(f"pip install 'imagination[{option.rpartition('/')[2]}]'")
+    assert message is not None and message.endswith(f"pip install 'imagination[{option.rpartition('/')[2]}]'")
 
 
-def test_a_failed_member_stops_no_other_and_is_tried_again(command: Command, tmp_path: Path) -> None:
+def test_a_failed_job_stops_no_other_and_is_retried(command: Command, tmp_path: Path) -> None:
     job = ["-m", *JOB, "name=swept", "trainer.fast_dev_run=true", "scale.prefill_steps=3,8"]
     done = command("train", *job)
     assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
     sweep = only(tmp_path / "outputs" / "swept" / "multirun_*")
     assert states(sweep) == ["failed", "done"]
     assert (sweep / "1" / "tables" / "mapping.csv").is_file()
-    assert "1 of 2 members done" in done.stderr
-    told = [line for line in done.stderr.splitlines() if "0 failed" in line]
-    assert len(told) == 1 and "prefill_steps: got 3" in told[0] and "scale.prefill_steps=3" in told[0]
+    assert "1 of 2 " in done.stderr
+    failed = [line for line in done.stderr.splitlines() if "0 failed" in line]
+    assert len(failed) == 1 and "prefill_steps: got 3" in failed[0] and "scale.prefill_steps=3" in failed[0]
     assert not (tmp_path / "outputs" / "swept" / "latest").exists()
-    again = next(line for line in done.stderr.splitlines() if line.startswith("Run what is not done: "))
-    done = command("train", *shlex.split(again.partition("imagination.train ")[2]))
-    assert done.returncode == 1 and "Member 0:" in done.stderr and "Member 1:" not in done.stderr
+    retry = next(line for line in done.stderr.splitlines() if "imagination.train " in line)
+    done = command("train", *shlex.split(retry.partition("imagination.train ")[2]))
+    assert done.returncode == 1 and "Job 0:" in done.stderr and "Job 1:" not in done.stderr
     assert [job.folder for job in sweep_jobs.read(sweep)] == ["0", "1"]
 
 
-def test_what_only_evaluation_reads_never_trains(command: Command, tmp_path: Path) -> None:
+def test_sweeps_of_evaluation_settings_never_train(command: Command, tmp_path: Path) -> None:
     for choice in ("+sweep=cell_width", "+sweep=registration"):
         done = command("train", *JOB, choice)
         assert done.returncode == 2 and "imagination.evaluate -m" in done.stderr, done.stderr
@@ -133,7 +133,7 @@ def test_what_only_evaluation_reads_never_trains(command: Command, tmp_path: Pat
 
 @pytest.mark.parametrize("name", SWEEPS)
 def test_ready_made_sweeps_compose(name: str) -> None:
-    """Each value of each one; and what is swept is there to be swept."""
+    """Every value of every sweep composes, and values of a key differ."""
     hydra = yaml.safe_load((ROOT / "conf" / "sweep" / f"{name}.yaml").read_text())["hydra"]
     assert hydra["mode"] == "MULTIRUN"
     keys = set()
@@ -141,7 +141,7 @@ def test_ready_made_sweeps_compose(name: str) -> None:
         choices = yaml.safe_load(f"[{values}]")
         assert len(choices) > 1
         for value in choices:
-            keys.add(key_of(compose("train", [*JOB, f"{key}={value}".replace(" ", "")])))
+            keys.add(config_key(compose("train", [*JOB, f"{key}={value}".replace(" ", "")])))
         assert len(keys) >= len(choices)
 
 
@@ -154,13 +154,15 @@ def test_ready_made_sweeps_compose(name: str) -> None:
         ("model.encoder.name", {"model.encoder.name=resnet18": "resnet18", "model.encoder.name=a": "a"}),
     ],
 )
-def test_tensorboard_tells_apart_what_is_built(key: str, choices: dict[str, str]) -> None:
-    shown = {choice: settings(compose("train", [*JOB, choice, "paths.run=."]))[key] for choice in choices}
+def test_hyperparameters_name_classes(key: str, choices: dict[str, str]) -> None:
+    shown = {
+        choice: hyperparameters(compose("train", [*JOB, choice, "paths.run=."]))[key] for choice in choices
+    }
     assert shown == choices
 
 
 def swept(sweep: Path) -> list[dict[str, str]]:
-    """Overrides of each member, by key."""
+    """Return the overrides of each job by key."""
     lines = [shlex.split(job.overrides) for job in sweep_jobs.read(sweep)]
     return [{key: value for key, _, value in (text.partition("=") for text in line)} for line in lines]
 
@@ -174,8 +176,8 @@ def leaves(node: object, name: str = "") -> dict[str, object]:
 
 
 @pytest.mark.slow
-def test_six_runs_differ_only_in_what_was_swept(command: Command, tmp_path: Path) -> None:
-    """Three values of delta by two of w_alpha max, and TensorBoard's HParams tab shows them with their figures."""
+def test_six_runs_differ_only_in_the_swept_keys(command: Command, tmp_path: Path) -> None:
+    """Three values of delta by two of w_alpha max; the HParams tab of TensorBoard shows them with their scores."""
     values = ["kernels.imaginable=0.8,1.0,1.4", "model.loss.alpha_max=10.0,30.0"]
     done = command("train", "-m", *JOB, *values, timeout=1800)
     assert done.returncode == 0, done.stderr
@@ -193,8 +195,8 @@ def test_six_runs_differ_only_in_what_was_swept(command: Command, tmp_path: Path
     assert {(line["kernels.imaginable"], line["model.loss.alpha_max"]) for line in swept(sweep)} == {
         (str(delta), str(alpha)) for delta, alpha in pairs
     }
-    shares = [line for line in done.stderr.splitlines() if line.startswith("Time: ")]
-    totals = [float(line.rpartition("total ")[2].split()[0]) for line in shares]
+    times = [line for line in done.stderr.splitlines() if line.startswith("Time: ")]
+    totals = [float(line.rpartition("total ")[2].split()[0]) for line in times]
     assert len(totals) == 6 and sum(totals) < 1.2 * max(totals) * 6 and totals[5] < 3 * totals[0]
     groups = hparams_of(sweep)
     assert {(g["kernels.imaginable"], g["model.loss.alpha_max"]) for g in groups} == pairs
@@ -202,7 +204,7 @@ def test_six_runs_differ_only_in_what_was_swept(command: Command, tmp_path: Path
 
 
 def hparams_of(logdir: Path) -> list[dict[str, float]]:
-    """Rows of TensorBoard's HParams tab: hyperparameters and figures of each run."""
+    """Return the rows of TensorBoard's HParams tab: hyperparameters and scores of each run."""
     from tensorboard.backend.event_processing.data_provider import MultiplexerDataProvider
     from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
     from tensorboard.context import RequestContext
@@ -215,23 +217,23 @@ def hparams_of(logdir: Path) -> list[dict[str, float]]:
     context = backend_context.Context(TBContext(logdir=str(logdir), data_provider=provider))
     request = RequestContext()
     shown = get_experiment.Handler(request, context, "", api_pb2.GetExperimentRequest()).run()
-    asked = api_pb2.ListSessionGroupsRequest(
+    groups_request = api_pb2.ListSessionGroupsRequest(
         start_index=0,
         slice_size=100,
         allowed_statuses=[api_pb2.STATUS_SUCCESS, api_pb2.STATUS_UNKNOWN],
         col_params=[api_pb2.ColParams(metric=metric.name) for metric in shown.metric_infos],
     )
-    found = list_session_groups.Handler(request, context, "", asked).run()
+    response = list_session_groups.Handler(request, context, "", groups_request).run()
     return [
         {name: value.number_value for name, value in group.hparams.items()}
         | {value.name.tag: value.value for value in group.metric_values}
-        for group in found.session_groups
+        for group in response.session_groups
     ]
 
 
 @pytest.mark.slow
-def test_a_killed_sweep_goes_on_with_what_is_not_done(command: Command, tmp_path: Path) -> None:
-    """SIGKILL in the second member after its first checkpoint: it goes on from there and ends as if nothing was."""
+def test_a_killed_sweep_continues_with_the_remaining_jobs(command: Command, tmp_path: Path) -> None:
+    """SIGKILL in the second job after its first checkpoint: it resumes with the same results as without the kill."""
     job = ["-m", *JOB, "scale.epochs=6", "scale.eval_every=2", "seed=1,2,3"]
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert command("train", *job, f"sweep_dir={whole}", timeout=1200).returncode == 0
@@ -271,10 +273,9 @@ def test_evaluations_are_swept_without_training(command: Command, tmp_path: Path
         done = command("evaluate", f"ckpt={checkpoint}", f"+sweep={name}", f"sweep_dir={name}", timeout=600)
         assert done.returncode == 0, done.stderr
         assert states(tmp_path / name) == ["done"] * count
-        kept = yaml.safe_load((tmp_path / name / "0" / "config.yaml").read_text())["ckpt"]
-        assert (tmp_path / kept).samefile(
-            checkpoint
-        ) and "latest" not in kept  # which is another run tomorrow
+        saved = yaml.safe_load((tmp_path / name / "0" / "config.yaml").read_text())["ckpt"]
+        assert (tmp_path / saved).samefile(checkpoint)
+        assert "latest" not in saved  # latest may point to another run later
     assert checkpoint.stat().st_mtime_ns == before and "training epochs" not in done.stderr
     tables = [(tmp_path / "cell_width" / str(n) / "tables" / "mapping.csv").read_text() for n in range(6)]
     widths = [{line.split(",")[2] for line in table.splitlines()[1:]} for table in tables]
@@ -282,14 +283,14 @@ def test_evaluations_are_swept_without_training(command: Command, tmp_path: Path
 
 
 @pytest.mark.slow
-def test_members_at_once_share_the_cache(command: Command, tmp_path: Path) -> None:
-    """Two processes in one cold cache: the same tables as one after the other, nothing half-written."""
+def test_concurrent_jobs_share_the_cache(command: Command, tmp_path: Path) -> None:
+    """Two processes with one empty cache: the same tables as one after the other, and no incomplete files."""
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
     job = ["-m", *JOB, "kernels.imaginable=0.8,1.4"]
     done = command("train", *job, "sweep_dir=one", "paths.cache=cache_one", timeout=900)
     assert done.returncode == 0, done.stderr
-    at_once = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
-    done = command("train", *job, *at_once, "sweep_dir=two", "paths.cache=cache_two", timeout=900)
+    concurrent = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+    done = command("train", *job, *concurrent, "sweep_dir=two", "paths.cache=cache_two", timeout=900)
     assert done.returncode == 0, done.stderr
     assert states(tmp_path / "two") == ["done"] * 2
     for number in "01":
@@ -301,7 +302,7 @@ def test_members_at_once_share_the_cache(command: Command, tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["encoders", "backbones"])
-def test_every_part_that_a_sweep_names_trains(command: Command, tmp_path: Path, name: str) -> None:
+def test_every_option_of_a_sweep_trains(command: Command, tmp_path: Path, name: str) -> None:
     done = command(
         "train", *JOB, f"+sweep={name}", "trainer.fast_dev_run=true", "sweep_dir=swept", timeout=1200
     )
@@ -310,8 +311,8 @@ def test_every_part_that_a_sweep_names_trains(command: Command, tmp_path: Path, 
 
 
 @pytest.mark.slow
-def test_a_search_goes_on_where_it_was(command: Command, tmp_path: Path) -> None:
-    """Optuna: three trials, then the same search for four; those done before are not run again."""
+def test_a_search_is_continued(command: Command, tmp_path: Path) -> None:
+    """Optuna: three trials, then the same search for four; finished trials do not run again."""
     pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
     job = [*JOB, "+hparams_search=optuna", "sweep_dir=search"]
     done = command("train", *job, "hydra.sweeper.n_trials=3", timeout=1200)

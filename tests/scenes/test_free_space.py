@@ -1,4 +1,4 @@
-"""Free space against distances measured to every part of the mesh."""
+"""Free space against distances to every part of the mesh."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ RESOLUTION = 0.05
 
 
 def floor(*pieces: tuple[float, float, float, float], height: float = 0.0) -> MeshBuilder:
-    """A builder with rectangles of floor, each x0, y0, x1, y1."""
+    """Return a builder with rectangles of floor, each x0, y0, x1, y1."""
     builder = MeshBuilder()
     for x0, y0, x1, y1 in pieces:
         builder.quad([[x0, y0, height], [x1, y0, height], [x1, y1, height], [x0, y1, height]], 0)  # type: ignore[arg-type]
@@ -26,7 +26,7 @@ def places(free: FreeSpace) -> np.ndarray:
 
 
 def distance_to(mesh: Mesh, points: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Distance seen from above to the nearest of many points on the mesh's surface between two heights."""
+    """Return the horizontal distance to the mesh between two heights, by dense sampling of its surface."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(float), 1, 0)[:, :, None]
     s, r = (grid.ravel()[:, None] for grid in np.meshgrid(np.linspace(0, 1, 100), np.linspace(0, 1, 100)))
     inside = (s + r <= 1).ravel()
@@ -35,17 +35,17 @@ def distance_to(mesh: Mesh, points: np.ndarray, low: float, high: float) -> np.n
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.6])
-def test_robot_touches_nothing_and_no_room_is_wasted(turn: float) -> None:
+def test_robot_touches_nothing_and_free_space_is_complete(turn: float) -> None:
     scene = tiny_room(turn=turn)
     free = scene.free_space
-    every = free.grid.to_points(np.stack(np.indices(free.mask.shape), -1).reshape(-1, 2))
-    distance = distance_to(scene.mesh, every, 0.05, 1.5).reshape(free.mask.shape)
+    centres = free.grid.to_points(np.stack(np.indices(free.mask.shape), -1).reshape(-1, 2))
+    distance = distance_to(scene.mesh, centres, 0.05, 1.5).reshape(free.mask.shape)
     assert distance[free.mask].min() >= ROBOT_RADIUS
-    local = (every @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])).reshape(
+    local = (centres @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])).reshape(
         *free.mask.shape, 2
     )
     in_room = (np.abs(local) < [2.5, 2.0]).all(axis=-1)
-    # an obstacle counts with its whole cell: at most a diagonal is lost
+    # an obstacle blocks its whole cell: at most one diagonal is lost
     roomy = in_room & (distance > ROBOT_RADIUS + 1.42 * RESOLUTION)
     parts, _ = label(roomy)
     largest = parts == 1 + np.argmax(np.bincount(parts.ravel())[1:])
@@ -84,7 +84,9 @@ def test_door_as_wide_as_the_robot(gap: float, passes: bool) -> None:
     [(0.0, 0.04, False), (0.0, 0.06, True), (1.45, 1.6, True), (1.55, 2.0, False), (0.0, 2.0, True)],
 )
 @pytest.mark.parametrize("floor_height", [0.0, -3.2])
-def test_only_what_the_robot_meets_blocks(low: float, high: float, blocks: bool, floor_height: float) -> None:
+def test_only_obstacles_within_the_clearance_block(
+    low: float, high: float, blocks: bool, floor_height: float
+) -> None:
     builder = floor((0, 0, 2, 2))
     builder.box((0.9, 0.9, low), (1.1, 1.1, high), 1)
     free = free_space(builder.build(shift=(0, 0, floor_height)), floor_height, 0.2)
@@ -94,12 +96,14 @@ def test_only_what_the_robot_meets_blocks(low: float, high: float, blocks: bool,
 
 def test_inside_of_furniture_is_not_free() -> None:
     builder = floor((0, 0, 6, 2))
-    builder.box((0.5, 0.2, 0.0), (3.5, 1.9, 2.1), 1)  # its top is above the band: hollow seen from above
+    builder.box(
+        (0.5, 0.2, 0.0), (3.5, 1.9, 2.1), 1
+    )  # its top is above the clearance: hollow as seen from above
     free = places(free_space(builder.build(), 0.0, 0.2))
     assert not ((free > [0.5, 0.2]) & (free < [3.5, 1.9])).all(axis=1).any()
 
 
-def test_floor_at_another_height_is_no_floor() -> None:
+def test_floor_at_another_height_is_not_free() -> None:
     builder = floor((0, 0, 1, 1))
     builder.quad(np.array([[3, 0, 0.3], [9, 0, 0.3], [9, 9, 0.3], [3, 9, 0.3]]), 0)
     assert places(free_space(builder.build(), 0.0, 0.2)).max() < 1
@@ -113,8 +117,8 @@ def test_quarter_turn_turns_the_mask() -> None:
 @pytest.mark.parametrize(
     ("radius", "floor_height", "message"),
     [
-        (0.2, 1.0, "no horizontal triangle within 0.05 m of the floor at 1.0 m"),
-        (3.0, 0.0, "radius 3.0 m fits nowhere on the 21"),
+        (0.2, 1.0, "free space: got no horizontal triangle within 0.05 m of the floor at 1.0 m"),
+        (3.0, 0.0, r"free space: .*radius 3\.0 m on 21"),
         (np.nan, 0.0, "robot_radius: got nan"),
         (-0.1, 0.0, "robot_radius: got -0.1"),
     ],
@@ -125,5 +129,5 @@ def test_refuses(radius: float, floor_height: float, message: str) -> None:
 
 
 def test_refuses_a_scene_in_millimetres() -> None:
-    with pytest.raises(UserError, match="check that the scene is in metres"):
+    with pytest.raises(UserError, match=r"free space: got a floor from .*5000"):
         free_space(floor((0, 0, 5000, 2000)).build(), 0.0, 0.2)

@@ -1,4 +1,4 @@
-"""Floor plans: areas, rooms that do not overlap, doors that join them all."""
+"""Floor plans: areas, rooms without overlap, and doors that connect all rooms."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from imagination.scenes.procedural.floor_plan.plan import OUTSIDE, WALL, Plan
 PLANS = [draw_plan(np.random.default_rng(seed)) for seed in range(120)]
 
 
-def test_areas_span_what_is_promised() -> None:
+def test_areas_span_the_range() -> None:
     areas = [plan.area for plan in PLANS]
     assert 40 <= min(areas) < 55
     assert 120 < max(areas) <= 150
@@ -31,15 +31,15 @@ def test_rooms_stand_a_wall_apart(plan: Plan) -> None:
 
 
 @pytest.mark.parametrize("plan", PLANS[::6])
-def test_doors_join_all_rooms(plan: Plan) -> None:
-    reached, todo = {0}, [0]
-    while todo:
-        number = todo.pop()
+def test_doors_connect_all_rooms(plan: Plan) -> None:
+    reached, queue = {0}, [0]
+    while queue:
+        number = queue.pop()
         for opening in plan.openings_of(number):
             if opening.kind in ("door", "passage"):
-                fresh = set(opening.rooms) - reached
-                reached |= fresh
-                todo += fresh
+                new = set(opening.rooms) - reached
+                reached |= new
+                queue += new
     assert reached == set(range(len(plan.rooms)))
 
 

@@ -1,4 +1,4 @@
-"""The shapes of furniture against volumes worked out by hand; each is closed and looks outwards."""
+"""Shapes of furniture against analytic volumes; each is closed with outward normals."""
 
 from collections import Counter
 from itertools import islice
@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from imagination.scenes.building_blocks import shapes
+from imagination.scenes.building_blocks.furniture_source import LABELS, STYLED_LABELS
 from imagination.scenes.building_blocks.palette import Palette
 from imagination.scenes.building_blocks.pieces import box_uv
 from imagination.scenes.building_blocks.shapes import Solid
+from imagination.scenes.procedural.furniture.distractors import BUILDERS
 from imagination.scenes.procedural.furniture.families import FAMILIES
 from imagination.scenes.procedural.furniture.stock import STYLED
 from imagination.scenes.procedural.furniture.styles import draw_style
@@ -36,13 +38,13 @@ SOLIDS = {
 
 
 def volume(solid: Solid) -> float:
-    """By the divergence theorem: positive if the faces look outwards."""
+    """Return the volume by the divergence theorem, positive for outward normals."""
     a, b, c = (solid.vertices[solid.faces[:, corner]] for corner in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_shape_has_its_volume_and_looks_outwards(name: str) -> None:
+def test_shape_has_its_volume_and_outward_normals(name: str) -> None:
     solid, expected = SOLIDS[name]
     assert volume(solid) == pytest.approx(expected, rel=0.02)
 
@@ -57,7 +59,7 @@ def test_shape_is_closed(name: str) -> None:
     assert all(edges[b, a] == count for (a, b), count in edges.items())
 
 
-def test_moved_tilts_then_turns_then_shifts() -> None:
+def test_moved_tilts_then_rotates_then_translates() -> None:
     point = Solid(np.array([[0.0, 0.0, 1.0]]), np.zeros((0, 3), int))
     # the tilt takes +z to -y, a quarter turn takes -y to +x
     np.testing.assert_allclose(
@@ -65,12 +67,12 @@ def test_moved_tilts_then_turns_then_shifts() -> None:
     )
 
 
-def test_texture_is_laid_in_metres() -> None:
+def test_texture_coordinates_are_in_metres() -> None:
     solid = shapes.box(0.5, 0.4, 0.3)
     uv = box_uv(solid)
     first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    painted = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
-    assert painted.sum() == pytest.approx(2 * (0.5 * 0.4 + 0.5 * 0.3 + 0.4 * 0.3))
+    area = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
+    assert area.sum() == pytest.approx(2 * (0.5 * 0.4 + 0.5 * 0.3 + 0.4 * 0.3))
 
 
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.name)
@@ -78,17 +80,18 @@ def test_furniture_stands_on_the_floor_and_has_its_size(family) -> None:
     rng = np.random.default_rng(3)
     palette = Palette(rng)
     drawn = (draw_style(family.label, family.splits[-1], rng) for _ in range(300))
-    own = [
+    pieces = [
         STYLED[family.label](style, palette) for style in islice((s for s in drawn if s.family is family), 5)
     ]
-    assert len(own) == 5
-    for piece in own:
+    assert len(pieces) == 5
+    for piece in pieces:
         width, depth, height = piece.high - piece.low
         assert abs(piece.low[2]) < 0.03
         assert 0.3 < max(width, depth) < 2.8
-        assert 0.25 < height < 2.3  # all of it reaches into the heights that count as obstacles
+        assert 0.25 < height < 2.3  # all furniture reaches the heights of obstacles
         assert np.isfinite(piece.uv).all()
 
 
 def test_every_styled_label_has_families() -> None:
-    assert {family.label for family in FAMILIES} == set(STYLED)
+    assert {family.label for family in FAMILIES} == set(STYLED) == set(STYLED_LABELS)
+    assert sorted(LABELS) == sorted([*STYLED, *BUILDERS])

@@ -1,4 +1,4 @@
-"""Furniture of the splits: disjoint ranges in every family, and families that only the test split holds."""
+"""Furniture of the splits: disjoint ranges in every family, and families in the test split only."""
 
 from itertools import combinations, product
 
@@ -18,8 +18,8 @@ SPLIT_FAMILIES = {split: families_of(split) for split in SPLITS}
 
 
 @pytest.mark.parametrize(("one", "other"), list(combinations(SPLITS, 2)))
-def test_ranges_of_two_splits_share_nothing(one, other) -> None:
-    shared = 0
+def test_ranges_of_two_splits_are_disjoint(one, other) -> None:
+    compared = 0
     for label in SPLIT_FAMILIES[one].keys() & SPLIT_FAMILIES[other].keys():
         first, second = SPLIT_FAMILIES[one][label], SPLIT_FAMILIES[other][label]
         for family in first.keys() & second.keys():
@@ -27,11 +27,11 @@ def test_ranges_of_two_splits_share_nothing(one, other) -> None:
             for name in first[family]:
                 for a, b in product(first[family][name], second[family][name]):
                     assert a.high < b.low or b.high < a.low, (family, name, a, b)
-                    shared += 1
-    assert shared > 100
+                    compared += 1
+    assert compared > 100
 
 
-def test_test_furniture_lies_next_to_training_on_both_sides() -> None:
+def test_test_ranges_are_next_to_training_ranges_on_both_sides() -> None:
     for label, families in SPLIT_FAMILIES["train"].items():
         for family in families.keys() & SPLIT_FAMILIES["test"][label].keys():
             for name, (train,) in families[family].items():
@@ -49,10 +49,10 @@ def test_some_families_of_each_category_are_held_out(category) -> None:
     assert len(names["test"] - names["train"] - names["val"]) >= 2
     assert (
         names["val"] == names["train"] & names["test"]
-    )  # it has neither the held-out ones nor training's own
+    )  # validation has neither test-only nor train-only families
 
 
-def test_names_are_unique_and_each_label_is_known_to_each_split() -> None:
+def test_names_are_unique_and_each_split_has_each_label() -> None:
     assert len({family.name for family in FAMILIES}) == len(FAMILIES)
     labels = set().union(*CATEGORIES.values())
     assert all(set(SPLIT_FAMILIES[split]) == labels for split in SPLITS)
@@ -70,6 +70,6 @@ def test_styles_are_drawn_from_their_splits_ranges(split) -> None:
                 assert any(low <= value <= high for low, high in ranges[name])
 
 
-def test_models_tell_styles_apart() -> None:
+def test_models_differ_between_styles() -> None:
     rng = np.random.default_rng(1)
     assert len({draw_style("chair", "train", rng).model for _ in range(50)}) == 50

@@ -1,4 +1,4 @@
-"""The renderer's speed: images of 128 x 128 pixels in a home of 250,000 triangles, by one process and two."""
+"""Speed of the renderer: images of 128 x 128 pixels in a home of 250,000 triangles, with one and two processes."""
 
 import time
 from multiprocessing import get_context
@@ -14,33 +14,33 @@ from imagination.views.pose_samplers import sample_poses
 from tests.benchmarks.subjects import with_triangles
 from tests.scenes.test_procedural_homes import homes
 
-TRIANGLES, VIEWS, ROUNDS = 250_000, 100, 7
+TRIANGLES, VIEWS, REPEATS = 250_000, 100, 7
 
 
 def work(pipe: Connection) -> None:
-    """Render when told to; send back the processor's seconds and the clock's."""
+    """Render on request and send the CPU time and the wall time, seconds."""
     home = homes().load("train_0000")
     mesh = with_triangles(home.mesh, TRIANGLES)
     assert TRIANGLES <= len(mesh.faces) < TRIANGLES + 3
     renderer, camera = Renderer(mesh, home.lighting), Camera.from_degrees(128, 128, 90.0, 1.25)
     poses = sample_poses(home.free_space, VIEWS, np.random.default_rng(0))
-    looks = [camera.to_world(pose, home.floor_height) for pose in poses]
-    renderer.render(camera, looks[0])  # compiles
+    poses_to_world = [camera.to_world(pose, home.floor_height) for pose in poses]
+    renderer.render(camera, poses_to_world[0])  # compiles
     pipe.send("ready")
     while pipe.recv():
         cpu, wall = time.process_time(), time.perf_counter()
-        for look in looks:
-            renderer.render(camera, look)
+        for camera_to_world in poses_to_world:
+            renderer.render(camera, camera_to_world)
         pipe.send((time.process_time() - cpu, time.perf_counter() - wall))
 
 
-def test_cut_faces_look_the_same() -> None:
+def test_subdivided_faces_render_the_same() -> None:
     home = homes().load("train_0000")
     camera = Camera.from_degrees(64, 64, 90.0, 1.25)
     x, y = home.free_space.grid.to_points(np.argwhere(home.free_space.mask))[0].tolist()
-    look = camera.to_world(Pose(x, y, 1.0), home.floor_height)
+    camera_to_world = camera.to_world(Pose(x, y, 1.0), home.floor_height)
     meshes = home.mesh, with_triangles(home.mesh, len(home.mesh.faces) * 3)
-    coarse, fine = (Renderer(mesh, home.lighting).render(camera, look) for mesh in meshes)
+    coarse, fine = (Renderer(mesh, home.lighting).render(camera, camera_to_world) for mesh in meshes)
     assert (coarse.instance == fine.instance).mean() > 0.999
     np.testing.assert_allclose(np.median(np.abs(coarse.depth - fine.depth)), 0, atol=1e-4)
     assert np.median(np.abs(coarse.rgb.astype(int) - fine.rgb)) <= 1
@@ -48,20 +48,20 @@ def test_cut_faces_look_the_same() -> None:
 
 @pytest.mark.slow
 def test_views_per_second() -> None:
-    """150 a second by one process, 1.8 times that by two: medians of epochs alone and together, one after the other.
+    """One process renders 150 views per second, two render 1.8 times as many (medians of alternating repeats).
 
-    What is checked is the time on the processor, which another program on the machine leaves alone; two processes on
-    two cores then make twice what each makes in a second of its own. The clock's figures are printed beside it.
+    The check uses CPU time, which other programs on the machine hardly change; with two cores two processes then render
+    twice as many views. Wall times are printed as well.
     """
     context = get_context("spawn")
     ends = [context.Pipe() for _ in range(2)]
-    processes = [context.Process(target=work, args=(there,), daemon=True) for _, there in ends]
-    pipes = [here for here, _ in ends]
+    processes = [context.Process(target=work, args=(child,), daemon=True) for _, child in ends]
+    pipes = [parent for parent, _ in ends]
     for process in processes:
         process.start()
     assert [pipe.recv() for pipe in pipes] == ["ready"] * 2
     alone, together = [], []
-    for _ in range(ROUNDS):
+    for _ in range(REPEATS):
         pipes[0].send(True)
         alone.append(pipes[0].recv())
         for pipe in pipes:
@@ -72,7 +72,9 @@ def test_views_per_second() -> None:
         process.join(10)
     rate = VIEWS / np.median(alone, axis=0)
     both = 2 * VIEWS / np.median(together, axis=0)
-    print(f"one process: {rate[0]:.0f} views a second of the processor, {rate[1]:.0f} by the clock")
-    print(f"two: {both[0] / rate[0]:.2f} times that on the processor, {both[1] / rate[1]:.2f} by the clock")
+    print(f"one process: {rate[0]:.0f} views per second of CPU time, {rate[1]:.0f} of wall time")
+    print(
+        f"two processes: {both[0] / rate[0]:.2f} times as many by CPU time, {both[1] / rate[1]:.2f} by wall time"
+    )
     assert rate[0] >= 150
     assert both[0] / rate[0] >= 1.8

@@ -1,4 +1,4 @@
-"""The renderer against rays and planes worked out one by one."""
+"""The renderer against analytic rays and planes."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ DARK = Lighting((1.0, 1.0, 1.0))
 
 
 def quad(corners: list[list[float]], uv: list[list[float]], material: Material) -> Mesh:
-    """Two triangles with the given corners and texture coordinates."""
+    """Return two triangles with the given corners and texture coordinates."""
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     zeros = np.zeros(2, np.int32)
     return Mesh(
@@ -29,7 +29,7 @@ def quad(corners: list[list[float]], uv: list[list[float]], material: Material) 
 
 
 def facing(material: Material, uv: list[list[float]], depth: float = 4.0, half: float = 4.0) -> Mesh:
-    """A square across the optical axis of a camera at the origin; corners in the image: lower left, lower right, …"""
+    """Return a square across the optical axis of a camera at the origin; its first corner is lower left in the image."""
     corners = [[-half, half, depth], [half, half, depth], [half, -half, depth], [-half, -half, depth]]
     return quad(corners, uv, material)
 
@@ -38,7 +38,7 @@ UNIT = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 
 
 def rays(camera: Camera, camera_to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Origin and directions with unit component along the optical axis, written out on its own."""
+    """Return origin and directions with unit component along the optical axis, independently of the renderer."""
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     tangent = np.tan(camera.field_of_view / 2) / (camera.width / 2)
     local = np.stack(
@@ -50,7 +50,7 @@ def rays(camera: Camera, camera_to_world: np.ndarray) -> tuple[np.ndarray, np.nd
 def brute_force(
     mesh: Mesh, camera: Camera, camera_to_world: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Depth, instance and distance to the second nearest surface of another depth, by solving for every triangle."""
+    """Return depth, instance and the margin to the nearest other instance, by solving for every triangle."""
     origin, directions = rays(camera, camera_to_world)
     depths = []
     for a, b, c in mesh.vertices[mesh.faces].astype(float):
@@ -73,7 +73,7 @@ def brute_force(
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-1.5, 1.5), st.floats(-1.2, 1.2), st.floats(0.3, 2.3), st.integers(0, 2**31))
-def test_room_from_any_pose_as_triangle_by_triangle(x: float, y: float, z: float, seed: int) -> None:
+def test_room_from_any_pose_matches_brute_force(x: float, y: float, z: float, seed: int) -> None:
     scene = tiny_room()
     pose = np.eye(4)
     pose[:3, :3] = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
@@ -94,7 +94,7 @@ def test_depth_is_along_the_optical_axis_not_along_the_ray() -> None:
     np.testing.assert_allclose(image.depth, 2.5, rtol=1e-6)
 
 
-def test_what_nobody_looks_at_is_not_shaded() -> None:
+def test_without_colour_the_image_is_not_shaded() -> None:
     renderer = Renderer(facing(Material((1.0, 1.0, 1.0)), UNIT), Lighting((1.0, 1.0, 1.0)))
     assert renderer.render(CAMERA, np.eye(4)).rgb.all()
     assert not renderer.render(CAMERA, np.eye(4), colour=False).rgb.any()
@@ -114,7 +114,7 @@ def test_camera_stands_upright_and_is_not_mirrored() -> None:
 
 
 @pytest.mark.parametrize(("edge", "hit"), [(0.49, True), (0.51, False)])
-def test_pixel_sees_what_lies_at_its_centre(edge: float, hit: bool) -> None:
+def test_pixel_samples_its_centre(edge: float, hit: bool) -> None:
     camera = Camera(8, 8, np.pi / 2, 1.25)  # focal length 4: at depth 4 a pixel is 1 m wide
     white = Material((1.0, 1.0, 1.0))
     right = quad([[edge, -4, 4], [4, -4, 4], [4, 4, 4], [edge, 4, 4]], UNIT, white)
@@ -144,8 +144,8 @@ def test_texture_repeats_and_is_interpolated() -> None:
     uv = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]
     camera = Camera(40, 40, np.pi / 2, 1.25)
     image = Renderer(facing(Material(tuple(colour), texture), uv), DARK).render(camera, np.eye(4))
-    share = (np.arange(40) + 0.5) / 40
-    u, v = low[0] + share * (high[0] - low[0]), high[1] - share * (high[1] - low[1])
+    fraction = (np.arange(40) + 0.5) / 40
+    u, v = low[0] + fraction * (high[0] - low[0]), high[1] - fraction * (high[1] - low[1])
     places = np.meshgrid((1 - v) * 5 - 0.5, u * 7 - 0.5, indexing="ij")
     expected = np.stack(
         [map_coordinates(texture[..., k].astype(float), places, order=1, mode="grid-wrap") for k in range(3)],
@@ -175,7 +175,7 @@ def test_each_material_has_its_own_texture() -> None:
 
 
 def test_light_falls_on_either_side_by_the_cosine() -> None:
-    """The square's front looks to the camera (-z); one light before it, a fainter one behind it."""
+    """The front of the square faces the camera (-z), with one light in front and a fainter one behind."""
     material = Material((1.0, 0.5, 0.25))
     slanted = np.array([[0.0, np.sqrt(0.75), -0.5], [0.0, 0.0, 1.0]], np.float32)
     lighting = Lighting((0.1, 0.1, 0.2), slanted, np.array([[0.8, 0.4, 0.4], [0.5, 0.5, 0.5]], np.float32))
@@ -194,7 +194,7 @@ def test_bright_light_saturates() -> None:
     np.testing.assert_array_equal(bright.render(CAMERA, np.eye(4)).rgb[0, 0], [255, 255, 128])
 
 
-def test_same_image_every_time() -> None:
+def test_rendering_is_deterministic() -> None:
     scene = tiny_room()
     renderer = Renderer(scene.mesh, scene.lighting)
     pose = CAMERA.to_world(Pose(0.2, 0.1, 1.0))

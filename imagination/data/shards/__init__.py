@@ -1,1 +1,1 @@
-"""Data sets of views on disk (litdata shards), written scene by scene and streamed in training."""
+"""Datasets of views on disk (litdata shards), written scene by scene and streamed during training."""

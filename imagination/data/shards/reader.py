@@ -1,4 +1,4 @@
-"""Training views streamed out of a corpus (imagination.data.shards.writer), in a folder or behind a URL."""
+"""Training views streamed from a dataset of shards (imagination.data.shards.writer), in a folder or behind a URL."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ from zlib import crc32
 import numpy as np
 
 from imagination.data.datamodule import SceneData
-from imagination.data.shards.writer import INDEX, as_read, chunk_name, describe, difference, prepare_litdata
+from imagination.data.shards.writer import (
+    INDEX,
+    chunk_name,
+    describe,
+    first_difference,
+    json_round_trip,
+    prepare_litdata,
+)
 from imagination.utils.cache import as_plain, decode
 from imagination.utils.errors import UserError, check_range, first_of
 from imagination.utils.process_group import global_rank, world_size
@@ -27,55 +34,58 @@ log = logging.getLogger(__name__)
 
 
 def check_index(index: Any, folder: Path | None) -> None:
-    """Check that an index is one of ours: bytes only, since litdata would unpickle others, in chunks beside it.
+    """Check that an index lists plain bytes, since litdata would unpickle other items, and existing chunks.
 
     Args:
-        index: as read.
-        folder: in which the chunks are; None if they are not fetched yet.
+        index: content of the index file.
+        folder: folder of the chunks; None if they are not fetched yet.
 
     Raises:
-        UserError: if it is not.
+        UserError: if the index lists other items or chunks.
     """
     config, chunks = index["config"], index["chunks"]
     if config["data_format"] != ["bytes"] or config["compression"] or config.get("encryption"):
         raise UserError(
-            f"data.shards: got items of {config['data_format']}, expected plain bytes; do not use this corpus"
+            f"data.shards: got items of {config['data_format']}, expected plain bytes; do not use this dataset"
         )
     if config["item_loader"] != "PyTreeLoader":
-        raise UserError(f"data.shards: got item_loader {config['item_loader']!r}, expected PyTreeLoader")
+        raise UserError(
+            f"data.shards: got item_loader {config['item_loader']!r}, expected PyTreeLoader; do not use this dataset"
+        )
     for chunk in chunks:
         name = chunk["filename"]
         if not re.fullmatch(r"chunk-[\w.+-]+\.bin", name) or (folder and not (folder / name).is_file()):
             raise UserError(
-                f"data.shards: the index names a chunk {name!r}, which is not there; write it again"
+                f"data.shards: got the chunk {name!r} in the index, expected an existing chunk-*.bin; "
+                "write the dataset again"
             )
 
 
-def _fetched(place: str, **options: Any) -> Any:
-    """What lies behind a URL, its index fetched."""
+def _open_remote(url: str, **options: Any) -> Any:
+    """Open a dataset behind a URL and fetch its index."""
     from litdata import StreamingDataset
 
     try:
-        items = StreamingDataset(place, **options)
+        items = StreamingDataset(url, **options)
         len(items)  # fetches the index
         return items
-    except Exception as error:  # each storage's client has its own
+    except Exception as error:  # each storage client raises errors of other classes
         reason = str(error).partition("\n")[0]
         raise UserError(
-            f"data.shards: {place} cannot be fetched ({reason}); check the address and the credentials of its storage"
+            f"data.shards: {url} cannot be fetched ({reason}); check the address and the credentials of its storage"
         ) from error
 
 
 class Shards:
-    """A corpus to read from.
+    """Dataset of shards, opened for reading.
 
     Args:
-        place: folder or URL (s3://…, gs://…).
-        cache: folder for chunks of a URL.
-        gigabytes: most that is kept there.
+        place: folder or URL (s3://…, gs://…) of the dataset.
+        cache: folder for cached chunks of a URL.
+        gigabytes: maximum size of the cache, GB.
 
     Raises:
-        UserError: if there is no corpus, or the size is out of range.
+        UserError: if there is no dataset, it cannot be read, or the cache size is out of range.
     """
 
     def __init__(self, place: str, cache: str, gigabytes: float) -> None:
@@ -87,106 +97,108 @@ class Shards:
         remote = "://" in place
         if not remote and not (Path(place) / INDEX).is_file():
             raise UserError(
-                f"data.shards: got {place}, where there is no {INDEX}; expected a folder that "
-                "python -m imagination.prepare_shards shards=… wrote, or a URL of one"
+                f"data.shards: got {place}, which holds no {INDEX}; expected a folder written by "
+                "python -m imagination.prepare_shards shards=…, or a URL of one"
             )
-        own = Path(cache) / hashlib.sha256(place.encode()).hexdigest()[:16]
+        cache_folder = Path(cache) / hashlib.sha256(place.encode()).hexdigest()[:16]
         try:
             if remote:
-                self._items = _fetched(place, cache_dir=str(own), max_cache_size=f"{gigabytes}GB")
-            chunks = []
-            for index in own.rglob(INDEX) if remote else [Path(place) / INDEX]:
-                listed = json.loads(index.read_text())
-                check_index(listed, None if remote else Path(place))
-                chunks += [int(chunk["chunk_bytes"]) for chunk in listed["chunks"]]
-            self.largest_chunk = max(chunks)
+                self._items = _open_remote(
+                    place, cache_dir=str(cache_folder), max_cache_size=f"{gigabytes}GB"
+                )
+            sizes = []
+            for path in cache_folder.rglob(INDEX) if remote else [Path(place) / INDEX]:
+                index = json.loads(path.read_text())
+                check_index(index, None if remote else Path(place))
+                sizes += [int(chunk["chunk_bytes"]) for chunk in index["chunks"]]
+            self.largest_chunk = max(sizes)
             if not remote:
                 self._items = StreamingDataset(place)
             about = json.loads(bytes(self._items[0]))
-            self.recipe: dict[str, Any] = about["recipe"]
-            self.group: int = int(self.recipe["group"])
-            self.sampler: dict[str, Any] = dict(self.recipe["sampler"])
+            self.spec: dict[str, Any] = about["recipe"]
+            self.group: int = int(self.spec["group"])
+            self.sampler: dict[str, Any] = dict(self.spec["sampler"])
             scenes = about["scenes"].items()
-            self.scenes: dict[str, int] = {str(scene): int(each["items"]) for scene, each in scenes}
+            self.scenes: dict[str, int] = {str(scene): int(entry["items"]) for scene, entry in scenes}
             self.fingerprints: dict[str, str] = {
-                str(scene): str(each["fingerprint"]) for scene, each in scenes
+                str(scene): str(entry["fingerprint"]) for scene, entry in scenes
             }
             self.views: dict[str, Any] = about["views"]
         except UserError:
             raise
-        except Exception as error:  # litdata raises whatever a damaged file makes it raise
+        except Exception as error:  # litdata raises errors of any class on a damaged file
             raise UserError(f"data.shards: {place} cannot be read ({error}); write it again") from error
         self._first = dict(zip(self.scenes, np.cumsum([1, *self.scenes.values()]).tolist(), strict=False))
 
     def read(self, scene: str, number: int) -> Views:
-        """One group of views of a scene.
+        """Read one group of views of a scene.
 
         Raises:
-            UserError: if it is damaged or cannot be fetched.
+            UserError: if the group is damaged or cannot be fetched.
         """
         try:
             return decode(bytes(self._items[self._first[scene] + number]))
-        except Exception as error:  # litdata raises anything on a chunk that is cut off
+        except Exception as error:  # litdata raises errors of any class on a truncated chunk
             raise UserError(
                 f"data.shards: item {number} of {scene} in {self.place} cannot be read ({error}); if it is damaged, "
                 f"remove {chunk_name(scene)} and write it again"
             ) from error
 
-    def check_room(self, scenes: int) -> None:
-        """Check that so many scenes can be kept at once: else chunks would be fetched anew for every collection.
+    def check_cache_size(self, scenes: int) -> None:
+        """Check that the cache can hold the chunks of `scenes` scenes; otherwise every collection would fetch them.
 
         Raises:
-            UserError: if they cannot.
+            UserError: if the cache is too small.
         """
         needed = scenes * self.largest_chunk / 1e9
         if "://" in self.place and needed > self.gigabytes:
             raise UserError(
-                f"data.module.shard_gigabytes: got {self.gigabytes}, expected at least {needed:.3g} GB, the chunks of "
-                f"the {scenes} scenes that are looked into at once; or take fewer, scale.parallel_scenes"
+                f"data.module.shard_gigabytes: got {self.gigabytes}, expected at least {needed:.3g} GB for the chunks "
+                f"of {scenes} parallel scenes; raise it or lower scale.parallel_scenes"
             )
 
     def check(self, observer: Observer) -> None:
-        """Check that views are what the config asks for.
+        """Check that the views were rendered with the settings of the config.
 
         Raises:
-            UserError: with the first part that differs.
+            UserError: if a setting differs.
         """
-        if different := difference(self.views, as_read(describe(observer))):
+        if mismatch := first_difference(self.views, json_round_trip(describe(observer))):
             raise UserError(
-                f"data.shards: the views in {self.place} were made with {different}; choose the scale and "
-                "settings they were written with"
+                f"data.shards: got views in {self.place} that were rendered with {mismatch}; use the scale and "
+                "settings with which they were written"
             )
 
     def check_scenes(self, observer: Observer, scenes: Sequence[str]) -> None:
-        """Check that scenes are those that the config's scene source has under these names.
+        """Check that scenes are the same in the dataset as in the scene source of the config.
 
         Raises:
-            UserError: with those that differ.
+            UserError: if a scene differs.
         """
-        if others := [
+        if changed := [
             scene for scene in scenes if self.fingerprints[scene] != observer.source.fingerprint(scene)
         ]:
             raise UserError(
-                f"data.shards: {self.place} was written of other scenes than the config's of these names: "
-                f"{first_of(others)}; choose the scene source and furniture it was written of"
+                f"data.shards: got scenes in {self.place} that differ from those of the same names in the config's "
+                f"scene source: {first_of(changed)}; use the scene source and furniture with which they were written"
             )
 
 
 class ShardCollector:
-    """Collections of training views out of shards, in place of rendering them; see `Collector`.
+    """Collector of training views that reads them from shards instead of rendering them; see `Collector`.
 
-    So many scenes as are looked at in parallel are open at once, and read through before the next: a chunk is fetched
-    once a lap. Which views a collection gets depends on the seed and its number alone.
+    The parallel scenes are read completely before the next ones, so that each chunk is fetched once per pass through
+    the dataset. The views of a collection depend only on the seed and the index of the collection.
 
     Args:
-        shards: to read from.
-        scenes: this process's own.
-        seed: of the run.
-        parallel_scenes: scenes in one collection.
-        steps: views of each of them.
+        shards: dataset to read from.
+        scenes: scenes of this process.
+        seed: seed of the run.
+        parallel_scenes: number of scenes in one collection.
+        steps: number of views per scene in one collection.
 
     Raises:
-        UserError: if the views do not divide into collections.
+        UserError: if there is no scene, or the views cannot be divided into collections.
     """
 
     def __init__(
@@ -198,10 +210,11 @@ class ShardCollector:
         if not items or steps % shards.group or steps // shards.group > items:
             raise UserError(
                 f"data.shards: got {len(self.scenes)} scenes of {items} x {shards.group} views, expected at least one "
-                f"scene and collections of scale.update_interval = {steps} views of each; write them with that interval"
+                f"scene and collections of scale.update_interval = {steps} views per scene; write the shards with that "
+                "interval"
             )
         self._items_each = steps // shards.group
-        self._collections = items // self._items_each  # out of the same scenes
+        self._collections = items // self._items_each  # of the same parallel scenes
         self._reader = ThreadPoolExecutor(1)
 
     @property
@@ -209,18 +222,18 @@ class ShardCollector:
         return self.parallel_scenes * self.steps
 
     def start(self, index: int) -> Callable[[], Views]:
-        """Begin to read collection `index`; the function returned waits for it."""
+        """Start reading collection `index` and return a function that waits for it."""
         return self._reader.submit(self._read, index).result
 
     def _read(self, index: int) -> Views:
         window, turn = divmod(index, self._collections)
         parts = []
         for slot in range(self.parallel_scenes):
-            lap, place = divmod(window * self.parallel_scenes + slot, len(self.scenes))
-            scene = self.scenes[self._shuffled(len(self.scenes), lap)[place]]
+            lap, position = divmod(window * self.parallel_scenes + slot, len(self.scenes))
+            scene = self.scenes[self._shuffled(len(self.scenes), lap)[position]]
             order = self._shuffled(self.shards.scenes[scene], lap, crc32(scene.encode()))
-            chosen = order[turn * self._items_each : (turn + 1) * self._items_each]
-            parts += [self.shards.read(scene, number) for number in chosen]
+            numbers = order[turn * self._items_each : (turn + 1) * self._items_each]
+            parts += [self.shards.read(scene, number) for number in numbers]
         return concatenate(parts)
 
     def _shuffled(self, count: int, *seed: int) -> list[int]:
@@ -230,80 +243,86 @@ class ShardCollector:
 
 
 class ShardData(SceneData):
-    """Training views streamed from shards; those of validation and test as in `SceneData`.
+    """Training views streamed from shards; validation and test views are rendered as in `SceneData`.
 
     Args:
-        shards: folder or URL that `python -m imagination.prepare_shards shards=…` wrote.
-        shard_cache: folder for chunks of a URL.
-        shard_gigabytes: most that is kept there.
-        others: see `SceneData`.
+        shards: folder or URL of a dataset written by `python -m imagination.prepare_shards shards=…`.
+        shard_cache: folder for cached chunks of a URL.
+        shard_gigabytes: maximum size of the cache, GB.
+        others: arguments of `SceneData`.
     """
 
     def __init__(self, shards: str, shard_cache: str, shard_gigabytes: float, **others: Any) -> None:
         super().__init__(**others)
-        self._where = shards, shard_cache, shard_gigabytes
+        self._dataset = shards, shard_cache, shard_gigabytes
         self._collector: ShardCollector | None = None
-        self._homes: list[str] = []
-        self._recipe: dict[str, Any] = {}
+        self._scenes: list[str] = []
+        self._spec: dict[str, Any] = {}
 
     def setup(self, stage: str) -> None:
         if stage == "fit":
-            self.survey("val")  # training needs no truth: it is in the views
+            self.survey("val")  # the ground truth of training views is in the shards
         else:
             super().setup(stage)
 
-    def collector(self, steps: int) -> ShardCollector:  # type: ignore[override]  # start and views_per_collection alike
+    def collector(self, steps: int) -> ShardCollector:  # type: ignore[override]  # a class with the same interface
         if self._collector is None:
-            shards = Shards(*self._where)
+            shards = Shards(*self._dataset)
             shards.check(self.observer)
-            self._homes = self._training_homes(shards)
-            self._recipe = shards.recipe
-            shards.check_scenes(self.observer, self._homes)
-            own = as_read(as_plain(self.sampler))
-            if different := difference(shards.sampler, own):
-                log.warning("data.shards: poses in %s were drawn with %s", shards.place, different)
-            share = self.parallel_scenes // world_size()
-            shards.check_room(min(self.parallel_scenes, len(self._homes)))
+            self._scenes = self._training_scenes(shards)
+            self._spec = shards.spec
+            shards.check_scenes(self.observer, self._scenes)
+            sampler = json_round_trip(as_plain(self.sampler))
+            if mismatch := first_difference(shards.sampler, sampler):
+                log.warning("data.shards: poses in %s were drawn with %s", shards.place, mismatch)
+            parallel = self.parallel_scenes // world_size()
+            shards.check_cache_size(min(self.parallel_scenes, len(self._scenes)))
             self._collector = ShardCollector(
-                shards, self._homes[global_rank() :: world_size()], self.seed, share, steps
+                shards, self._scenes[global_rank() :: world_size()], self.seed, parallel, steps
             )
         return self._collector
 
     def state_dict(self) -> dict[str, Any]:
-        """The scenes that this run trains on, and how they were looked at: a corpus may grow or move."""
-        scenes = {scene: self.observer.source.fingerprint(scene) for scene in self._homes}
-        return {"scenes": scenes, "recipe": self._recipe}
+        """Return the training scenes and the specification of their views, since a dataset may grow or move."""
+        scenes = {scene: self.observer.source.fingerprint(scene) for scene in self._scenes}
+        return {"scenes": scenes, "recipe": self._spec}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self._homes, self._recipe = list(state_dict["scenes"]), state_dict["recipe"]
+        self._scenes, self._spec = list(state_dict["scenes"]), state_dict["recipe"]
 
-    def _training_homes(self, shards: Shards) -> list[str]:
-        """Those of the training split that the corpus holds; of a run that goes on, those that it began with.
+    def _training_scenes(self, shards: Shards) -> list[str]:
+        """Return the scenes of the training split in the dataset; a resumed run keeps the scenes it started with.
 
         Raises:
-            UserError: if there are none, some of those are gone, or the corpus is another than the run began with.
+            UserError: if there is no such scene, a scene of a resumed run is missing, or the views of a resumed run
+                were written with another specification.
         """
-        if self._homes:
-            if self._recipe != shards.recipe:
+        if self._scenes:
+            if self._spec != shards.spec:
                 raise UserError(
-                    f"data.shards: the views in {shards.place} were drawn with {shards.recipe}, expected "
-                    f"{self._recipe}, which this run began with; go on with that corpus, or start a new run"
+                    f"data.shards: got views in {shards.place} with the specification {shards.spec}, expected "
+                    f"{self._spec}, with which this run started; resume with that dataset, or start a new run"
                 )
-            if lost := [scene for scene in self._homes if scene not in shards.scenes]:
+            if missing := [scene for scene in self._scenes if scene not in shards.scenes]:
                 raise UserError(
-                    f"data.shards: {shards.place} does not hold {first_of(lost)} any more, which this run began "
-                    "with; write them again, or start a new run"
+                    f"data.shards: got {shards.place} without {first_of(missing)}, expected all scenes with which "
+                    "this run started; write them again, or start a new run"
                 )
-            return self._homes
-        asked = self.observer.source.scenes("train")
-        scenes = [scene for scene in asked if scene in shards.scenes]
+            return self._scenes
+        requested = self.observer.source.scenes("train")
+        scenes = [scene for scene in requested if scene in shards.scenes]
         if not scenes:
             raise UserError(
-                f"data.shards: {shards.place} holds {first_of(list(shards.scenes))}, expected scenes of the "
-                f"training split: {first_of(asked)}; choose the scene source it was written with"
+                f"data.shards: got {first_of(list(shards.scenes))} in {shards.place}, expected scenes of the "
+                f"training split: {first_of(requested)}; use the scene source with which the shards were written"
             )
-        if missing := len(asked) - len(scenes):
-            log.warning("data.shards: %d of the %d scenes of training are not in it", missing, len(asked))
-        if others := len(shards.scenes) - len(scenes):
-            log.warning("data.shards: %d scenes in it are not of this training and left out", others)
+        if len(scenes) < len(requested):
+            count = len(requested) - len(scenes)
+            log.warning(
+                "data.shards: %d of the %d training scenes are not in the dataset", count, len(requested)
+            )
+        if ignored := len(shards.scenes) - len(scenes):
+            log.warning(
+                "data.shards: %d scenes of the dataset are no training scenes and are ignored", ignored
+            )
         return scenes

@@ -1,13 +1,12 @@
-"""A corpus of views as litdata shards, written scene by scene.
+"""Writer of a dataset of views as litdata shards, scene by scene.
 
-An item is a group of views of one scene, encoded as in the cache; a scene's items make one chunk. Item 0 describes the
-corpus: what its views depend on, and how many items each scene has. Scenes are written whole or not at all, each with a
-record beside its chunk, so that any number of jobs may write to one folder and go on where another stopped.
+An item is a group of views of one scene, encoded as in the cache; the items of a scene form one chunk. Item 0 describes
+the dataset: the settings of its views and the number of items of each scene. Each scene is written completely or not at
+all, as a chunk and a record file, so that any number of jobs can write to one folder and resume interrupted jobs.
 """
 
 from __future__ import annotations
 
-import fcntl
 import json
 import logging
 import os
@@ -32,7 +31,8 @@ from imagination.utils.errors import (
     first_of,
     require_extra,
 )
-from imagination.views.collector import PoseSampler, look
+from imagination.utils.file_lock import lock, locked_file
+from imagination.views.collector import PoseSampler, render_views
 from imagination.views.observer import Observer
 from imagination.views.random_streams import Stream
 from imagination.views.scene_workers import ScenePool
@@ -40,27 +40,30 @@ from imagination.views.scene_workers import ScenePool
 log = logging.getLogger(__name__)
 
 INDEX = "index.json"
-"""Where litdata looks for the list of chunks."""
+"""Name of the file in which litdata lists the chunks."""
 
 ABOUT = "chunk-about.bin"
-"""The chunk with the description alone."""
+"""Name of the chunk that holds only the description of the dataset."""
 
 MAX_BYTES = 2**32 - 2**20
-"""In a chunk: litdata's offsets in it are of 32 bits."""
+"""Maximum size of a chunk, bytes: litdata's offsets have 32 bits."""
 
 LOCK, WORK = ".index.lock", ".work.lock"
-"""Held by the job that writes the index, and shared by all that write scenes."""
+"""Names of the lock files of the job that writes the index (exclusive) and of the jobs that write scenes (shared)."""
 
 
 @dataclass(frozen=True)
 class ShardSpec:
-    """What is written of each scene.
+    """Specification of the views that are written for each scene.
 
     Attributes:
-        sampler: draws poses.
-        seed: of poses and sensor noise.
-        views: of each scene.
-        group: views in an item.
+        sampler: sampler of poses.
+        seed: seed of poses and sensor noise.
+        views: number of views per scene.
+        group: number of views in an item.
+
+    Raises:
+        UserError: if the number of views is out of range or no multiple of `group`.
     """
 
     sampler: PoseSampler
@@ -69,27 +72,27 @@ class ShardSpec:
     group: int
 
     def __post_init__(self) -> None:
-        check_range("views", self.views, 1, 10_000_000, "views of each scene")
+        check_range("views", self.views, 1, 10_000_000, "views per scene")
         if self.views % self.group:
             raise UserError(
-                f"views: got {self.views} of each scene, expected a multiple of scale.update_interval = {self.group}"
+                f"views: got {self.views} per scene, expected a multiple of scale.update_interval = {self.group}"
             )
 
-    def made_with(self, observer: Observer) -> dict[str, Any]:
-        """What the views of all scenes of a corpus have in common."""
-        program = {"program": code_version()[:12]}  # which renders and projects
-        return as_read({**describe(observer), **as_plain(self), **program})
+    def view_settings(self, observer: Observer) -> dict[str, Any]:
+        """Return the settings that all views of a dataset have in common."""
+        program = {"program": code_version()[:12]}  # the code that renders and projects
+        return json_round_trip({**describe(observer), **as_plain(self), **program})
 
 
 class Record(NamedTuple):
-    """What is known of a written scene.
+    """Record of a written scene.
 
     Attributes:
-        scene: its name.
-        fingerprint: of the scene.
-        made_with: what else its views depend on, in common with those of the other scenes.
-        items: groups of views.
-        chunk: what litdata's index says of it.
+        scene: name of the scene.
+        fingerprint: fingerprint of the scene.
+        made_with: settings that the views share with those of the other scenes.
+        items: number of items.
+        chunk: entry of the chunk in litdata's index.
     """
 
     scene: str
@@ -99,24 +102,24 @@ class Record(NamedTuple):
     chunk: dict[str, Any]
 
 
-def read_records(folder: Path, observer: Observer, recipe: ShardSpec) -> dict[str, Record]:
-    """Records of the scenes that are written, by scene; one that cannot be read is told and counts as none.
+def read_records(folder: Path, observer: Observer, spec: ShardSpec) -> dict[str, Record]:
+    """Return the records of the written scenes by name; log and skip those that cannot be read.
 
     Raises:
-        UserError: if a scene was made with other settings: one description holds for the whole corpus.
+        UserError: if a scene was rendered with other settings, since one description applies to the whole dataset.
     """
-    asked, records = recipe.made_with(observer), {}
+    expected, records = spec.view_settings(observer), {}
     for path in sorted(folder.glob("*.record.json")):
         try:
             record = _checked(Record(**json.loads(path.read_text())))
             written = (folder / chunk_name(record.scene)).is_file()
         except (OSError, ValueError, TypeError, RecursionError) as error:
-            log.warning("shards: %s cannot be read (%s); its scene counts as not written", path, error)
+            log.warning("shards: %s cannot be read (%s); its scene is treated as not written", path, error)
             continue
-        if different := difference(record.made_with, asked):
+        if mismatch := first_difference(record.made_with, expected):
             raise UserError(
-                f"shards: the views of {record.scene} in {folder} were made with {different}; write to another "
-                "folder, or remove this one"
+                f"shards: got views of {record.scene} in {folder} that were rendered with {mismatch}; write to "
+                "another folder, or remove this one"
             )
         if written:
             records[record.scene] = record
@@ -124,68 +127,73 @@ def read_records(folder: Path, observer: Observer, recipe: ShardSpec) -> dict[st
 
 
 def _checked(record: Record) -> Record:
-    """The same, if its parts are what they should be."""
-    kinds = zip(record, (str, str, dict, int, dict), strict=True)
-    if not all(isinstance(part, kind) for part, kind in kinds) or "entry" not in record.chunk:
-        raise ValueError("its parts are not those of a record")
+    """Return a record after checking the types of its fields.
+
+    Raises:
+        ValueError: if a field has another type.
+    """
+    fields = zip(record, (str, str, dict, int, dict), strict=True)
+    if not all(isinstance(value, kind) for value, kind in fields) or "entry" not in record.chunk:
+        raise ValueError("it holds other fields than a record")
     return record
 
 
-def unwritten(folder: Path, observer: Observer, scenes: Sequence[str], recipe: ShardSpec) -> list[str]:
-    """Those of the scenes that are not there yet.
+def unwritten(folder: Path, observer: Observer, scenes: Sequence[str], spec: ShardSpec) -> list[str]:
+    """Return those of the scenes that are not written yet.
 
     Raises:
-        UserError: if the folder holds scenes that were made with other settings, or other scenes of these names.
+        UserError: if the folder holds scenes that were rendered with other settings, or other scenes of these names.
     """
-    records = read_records(folder, observer, recipe)
+    records = read_records(folder, observer, spec)
     written = [scene for scene in scenes if scene in records]
-    if others := [
+    if changed := [
         scene for scene in written if records[scene].fingerprint != observer.source.fingerprint(scene)
     ]:
         raise UserError(
-            f"shards: got other scenes than {folder} holds under the same names ({first_of(others)}); write to another "
-            f"folder, take the scene source as it was, or remove {_record(folder, others[0]).name} to write that anew"
+            f"shards: got scenes that differ from those of the same names in {folder} ({first_of(changed)}); write to "
+            "another folder, use the scene source of that folder, or remove "
+            f"{_record_path(folder, changed[0]).name} to write that scene again"
         )
     return [scene for scene in scenes if scene not in records]
 
 
 @contextmanager
 def at_work(folder: Path) -> Iterator[None]:
-    """Say that a job writes to a folder; the first that comes and the last that goes remove what is half-written."""
+    """Mark a folder as being written to; the first job to enter and the last to leave remove incomplete files."""
     with open(folder / WORK, "a") as file:
-        _tidy(folder, file)
-        fcntl.flock(file, fcntl.LOCK_SH)
+        _remove_incomplete(folder, file)
+        lock(file, shared=True)
         try:
             yield
         finally:
-            _tidy(folder, file)
+            _remove_incomplete(folder, file)
 
 
-def _tidy(folder: Path, lock: IO[str]) -> None:
-    with suppress(BlockingIOError):  # others are at work
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+def _remove_incomplete(folder: Path, file: IO[str]) -> None:
+    with suppress(BlockingIOError):  # other jobs are writing
+        lock(file, wait=False)
         remove_parts(folder)
 
 
 def write_scenes(
-    observer: Observer, scenes: Sequence[str], folder: Path, recipe: ShardSpec, workers: int
+    observer: Observer, scenes: Sequence[str], folder: Path, spec: ShardSpec, workers: int
 ) -> Generator[tuple[str, str], None, None]:
-    """Write scenes, one at a time in each worker; gives each with what went wrong, or an empty string.
+    """Write scenes, one at a time in each worker; yield each name with an error message, empty on success.
 
-    A scene whose worker is killed, as when it takes too much memory, has failed; a new worker goes on with the others.
+    A scene fails if its worker is killed, e.g. when memory runs out. A new worker then writes the remaining scenes.
 
     Raises:
-        UserError: if the number of workers is out of range, or nothing can be written.
+        UserError: if the number of workers is out of range, or the folder cannot be written to.
     """
     check_range("scale.workers", workers, 0, 1024)
-    waiting = list(reversed(scenes))
+    pending = list(reversed(scenes))
     idle = [ScenePool(observer, min(workers, 1)) for _ in range(max(workers, 1))]
     running: dict[Future[str], tuple[str, ScenePool]] = {}
     try:
-        while waiting or running:
-            while waiting and idle:
-                scene, pool = waiting.pop(), idle.pop()
-                running[pool.submit(try_scene, scene, folder, recipe)] = scene, pool
+        while pending or running:
+            while pending and idle:
+                scene, pool = pending.pop(), idle.pop()
+                running[pool.submit(try_scene, scene, folder, spec)] = scene, pool
             for task in wait(running, return_when=FIRST_COMPLETED).done:
                 scene, pool = running.pop(task)
                 try:
@@ -193,7 +201,7 @@ def write_scenes(
                 except WorkerDiedError:
                     pool.close()
                     pool = ScenePool(observer, 1)
-                    problem = "its process was killed, as for want of memory; try it with scale.workers=1"
+                    problem = "its worker process was killed (possibly out of memory); try again with scale.workers=1"
                 except CannotWriteError:
                     pool.close()
                     raise
@@ -204,115 +212,125 @@ def write_scenes(
             pool.close()
 
 
-def write_scene(observer: Observer, scene: str, folder: Path, recipe: ShardSpec) -> None:
-    """Render a scene's views and write its chunk, then its record; runs in a worker process."""
-    seed = (recipe.seed, Stream.SHARDS, crc32(scene.encode()))
-    items, groups, written = [], recipe.views // recipe.group, 0
-    try:
-        for group in range(groups):
-            items.append(encode(look(observer, scene, recipe.sampler, (*seed, group), recipe.group)))
-            written += len(items[-1])
-            size = written * groups / len(items)
-            if size > MAX_BYTES:  # told after the first group, not after the last
-                raise UserError(
-                    f"views: got {recipe.views} of each scene, about {size / 1e9:.1f} GB, expected at most "
-                    f"{MAX_BYTES / 1e9:.1f} GB, as much as a chunk can hold; write fewer of more scenes"
-                )
-    finally:
-        observer.forget(scene)  # else a worker would hold every scene of the corpus in the end
-    chunk = _write_chunk(folder / chunk_name(scene), items)
-    fingerprint = observer.source.fingerprint(scene)
-    record = Record(scene, fingerprint, recipe.made_with(observer), len(items), chunk)
-    write_text(_record(folder, scene), json.dumps(record._asdict()))
-
-
-def try_scene(observer: Observer, scene: str, folder: Path, recipe: ShardSpec) -> str:
-    """Write a scene; what went wrong, or an empty string.
+def write_scene(observer: Observer, scene: str, folder: Path, spec: ShardSpec) -> None:
+    """Render the views of a scene and write its chunk, then its record; runs in a worker process.
 
     Raises:
-        UserError: if nothing can be written: the scenes after it would be rendered in vain.
+        UserError: if the views do not fit into a chunk.
+    """
+    seed = (spec.seed, Stream.SHARDS, crc32(scene.encode()))
+    items, groups, total = [], spec.views // spec.group, 0
+    try:
+        for group in range(groups):
+            items.append(encode(render_views(observer, scene, spec.sampler, (*seed, group), spec.group)))
+            total += len(items[-1])
+            estimate = total * groups / len(items)
+            if estimate > MAX_BYTES:  # extrapolated, so that the error is raised early
+                raise UserError(
+                    f"views: got {spec.views} per scene, about {estimate / 1e9:.1f} GB, expected at most "
+                    f"{MAX_BYTES / 1e9:.1f} GB, the capacity of a chunk; write fewer views of more scenes"
+                )
+    finally:
+        observer.forget(scene)  # otherwise a worker would hold every scene of the dataset in the end
+    chunk = _write_chunk(folder / chunk_name(scene), items)
+    fingerprint = observer.source.fingerprint(scene)
+    record = Record(scene, fingerprint, spec.view_settings(observer), len(items), chunk)
+    write_text(_record_path(folder, scene), json.dumps(record._asdict()))
+
+
+def try_scene(observer: Observer, scene: str, folder: Path, spec: ShardSpec) -> str:
+    """Write a scene and return an error message, empty on success.
+
+    Raises:
+        CannotWriteError: if the folder cannot be written to, since further scenes would be rendered in vain.
     """
     try:
-        write_scene(observer, scene, folder, recipe)
+        write_scene(observer, scene, folder, spec)
     except CannotWriteError:
         raise
-    except Exception as error:  # of any scene source: the other scenes do not wait for it
+    except (
+        Exception
+    ) as error:  # a scene source may raise any error; the other scenes are written all the same
         return f"{type(error).__name__}: {error}"
     return ""
 
 
-def write_index(folder: Path, observer: Observer, recipe: ShardSpec) -> dict[str, Any]:
-    """List everything written so far, for readers; returns the description.
+def write_index(folder: Path, observer: Observer, spec: ShardSpec) -> dict[str, Any]:
+    """Write the index of all scenes written so far and return the description of the dataset.
 
     Raises:
-        UserError: if nothing was written, or the folder holds scenes that were made with other settings.
+        UserError: if no scene was written, or the folder holds scenes that were rendered with other settings.
     """
-    with open(folder / LOCK, "a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)  # else a job that listed fewer scenes might write its list last
-        records = read_records(folder, observer, recipe)
+    with locked_file(folder / LOCK):  # otherwise a job that listed fewer scenes might write its list last
+        records = read_records(folder, observer, spec)
         if not records:
-            raise UserError(f"shards: no scene was written to {folder}; see the messages above")
+            raise UserError(
+                f"shards: got no written scene in {folder}, expected at least one; see the messages above"
+            )
         scenes = {
-            scene: {"items": each.items, "fingerprint": each.fingerprint} for scene, each in records.items()
+            scene: {"items": record.items, "fingerprint": record.fingerprint}
+            for scene, record in records.items()
         }
-        about = {"views": describe(observer), "recipe": as_plain(recipe), "scenes": scenes}
+        about = {"views": describe(observer), "recipe": as_plain(spec), "scenes": scenes}
         first = _write_chunk(folder / ABOUT, [json.dumps(about).encode()])
         chunks = [first["entry"], *(record.chunk["entry"] for record in records.values())]
-        # by this time alone litdata knows that what it keeps of a URL is out of date
+        # litdata recognises by this time alone that its cached copy of a URL is out of date
         index = {"chunks": chunks, "config": first["config"], "updated_at": str(time.time())}
         write_text(folder / INDEX, json.dumps(index))
     return about
 
 
 def describe(observer: Observer) -> dict[str, Any]:
-    """What the views of any scene depend on, apart from the scene."""
+    """Return the settings that the views of every scene depend on."""
     parts = ("camera", "sensor", "ego", "obstacles", "ground_truth_spec")
     table = {row.name: as_plain(row.aliases) for row in observer.categories}
     return {**{part: as_plain(getattr(observer, part)) for part in parts}, "categories": table}
 
 
-def as_read(description: dict[str, Any]) -> dict[str, Any]:
-    """The same after it went through a file."""
-    read: dict[str, Any] = json.loads(json.dumps(description))
-    return read
+def json_round_trip(description: dict[str, Any]) -> dict[str, Any]:
+    """Return a description as it is read back from a JSON file."""
+    result: dict[str, Any] = json.loads(json.dumps(description))
+    return result
 
 
-def difference(made_with: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
-    """The first part of a description in which views are not what is asked for; an empty string if there is none."""
-    for part, value in asked.items():
-        if made_with.get(part) != value:
-            return f"{part} {made_with.get(part)}, but the config asks for {value}"
+def first_difference(actual: Mapping[str, Any], expected: Mapping[str, Any]) -> str:
+    """Return the first part of a description that differs, with both values; an empty string if none differs."""
+    for part, value in expected.items():
+        if actual.get(part) != value:
+            return f"{part} {actual.get(part)}, expected {value}"
     return ""
 
 
 def prepare_litdata() -> None:
-    """See that litdata can be imported, and quietly.
+    """Check that litdata is installed and switch off its version check.
 
     Raises:
-        UserError: if it is not installed.
+        UserError: if litdata is not installed.
     """
     require_extra("litdata", "shards")
-    # else it asks PyPI, for 30 s where there is no network
+    # the version check queries PyPI, which takes 30 s without a network
     os.environ.setdefault("LITDATA_DISABLE_VERSION_CHECK", "1")
 
 
 def _stem(scene: str) -> str:
-    """Name of a scene's files: the scene's own, unless it is a path or has characters that an index may not hold."""
-    allowed = re.sub(r"[^\w.+-]", "_", scene)
-    return scene if allowed == scene else f"{allowed}-{crc32(scene.encode()):08x}"
+    """Return the stem of a scene's file names; characters that a file name may not hold are replaced."""
+    safe = re.sub(r"[^\w.+-]", "_", scene)
+    return (
+        scene if safe == scene else f"{safe}-{crc32(scene.encode()):08x}"
+    )  # the checksum keeps stems distinct
 
 
 def chunk_name(scene: str) -> str:
-    """Of a scene's chunk."""
+    """Return the file name of a scene's chunk."""
     return f"chunk-{_stem(scene)}.bin"
 
 
-def _record(folder: Path, scene: str) -> Path:
+def _record_path(folder: Path, scene: str) -> Path:
     return folder / f"{_stem(scene)}.record.json"
 
 
 def _write_chunk(path: Path, items: Sequence[bytes]) -> dict[str, Any]:
-    """Write items as one chunk; what litdata's index says of it."""
+    """Write items as one chunk and return its entry in litdata's index and the index's configuration."""
     prepare_litdata()
     from litdata.streaming.writer import BinaryWriter
 

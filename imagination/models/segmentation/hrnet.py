@@ -14,22 +14,22 @@ from imagination.models.resizing import resize
 from imagination.utils.errors import check_choice, check_range
 
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of ImageNet's colours, RGB, 0 to 1: every HRNet's, and the public ADE20K release's."""
+"""Mean and standard deviation of ImageNet's colours, RGB, 0 to 1, of all HRNets and the public ADE20K release."""
 
 STRIDE = 32
-"""Pixels a feature of the coarsest resolution."""
+"""Stride of the coarsest resolution, pixels."""
 
 
 class HRNetV2(nn.Module):
-    """timm's HRNet: its four resolutions, brought to the finest one's size and concatenated, then a convolutional head.
+    """HRNet of timm, whose four resolutions are resized to the finest and concatenated, with a convolutional head.
 
-    The head is the public release's `c1`: a convolution of 3 x 3 to a quarter of the channels, then one of 1 x 1.
-    Branches are fused bilinearly, as HRNetV2 does; timm's classifiers take the nearest value.
+    The head is `c1` of the public release: a 3 x 3 convolution to a quarter of the channels, then a 1 x 1 convolution.
+    Branches are fused by bilinear interpolation, as in HRNetV2; timm's classifiers use nearest-neighbour interpolation.
 
     Args:
-        name: of the network, one of timm's hrnet_*.
-        classes: logits a pixel.
-        enlarge: how many times larger images are made first; features have a quarter of the enlarged rows and columns.
+        name: name of the network in timm, one of hrnet_*.
+        classes: number of classes.
+        enlarge: factor by which images are first enlarged; features have a quarter of the enlarged rows and columns.
 
     Raises:
         UserError: if timm has no such network or the factor is out of range.
@@ -46,10 +46,10 @@ class HRNetV2(nn.Module):
             name, features_only=True, feature_location="", out_indices=(1, 2, 3, 4)
         )
         for parent in encoder.modules():
-            for place, part in parent.named_children():
-                if isinstance(part, nn.Upsample):
-                    assert isinstance(part.scale_factor, float)
-                    setattr(parent, place, Enlarge(int(part.scale_factor)))
+            for child_name, child in parent.named_children():
+                if isinstance(child, nn.Upsample):
+                    assert isinstance(child.scale_factor, float)
+                    setattr(parent, child_name, Enlarge(int(child.scale_factor)))
         channels = sum(branch[-1].conv2.out_channels for branch in encoder.stage4[-1].branches)
         self.encoder = encoder
         self.decoder = nn.Sequential(
@@ -60,9 +60,9 @@ class HRNetV2(nn.Module):
         self.to(memory_format=torch.channels_last)
 
     def forward(self, rgb: UInt8[Tensor, "b 3 h w"]) -> Float[Tensor, "b k p q"]:
-        """Logits of the classes, at a quarter of the (enlarged) image's rows and columns."""
+        """Return the logits of the classes, at a quarter of the (enlarged) image's rows and columns."""
         image = (rgb - self.mean) / self.deviation
-        # a multiple of the coarsest resolution's stride, so that all of them fit together
+        # a multiple of the coarsest stride, so that the resolutions align
         size = [STRIDE * ceil(self.enlarge * side / STRIDE) for side in rgb.shape[-2:]]
         if size != list(rgb.shape[-2:]):
             image = interpolate(image, size=size, mode="bilinear", align_corners=False)
@@ -74,7 +74,7 @@ class HRNetV2(nn.Module):
 
 
 class Enlarge(nn.Module):
-    """Bilinear, by a whole factor."""
+    """Bilinear upsampling by an integer factor."""
 
     def __init__(self, factor: int) -> None:
         super().__init__()
@@ -86,5 +86,5 @@ class Enlarge(nn.Module):
 
 
 def at_size(logits: Float[Tensor, "b k p q"], rows: int, columns: int) -> Float[Tensor, "b k rows columns"]:
-    """Logits of every pixel of an image, in single precision."""
+    """Resize logits to the pixels of an image, in single precision."""
     return resize(logits.float(), rows, columns)

@@ -1,4 +1,4 @@
-"""Training of a first-person segmentation network with Lightning."""
+"""LightningModule that trains a network for first-person segmentation."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -15,20 +15,19 @@ from torchmetrics.classification import MulticlassConfusionMatrix
 from imagination.models.segmentation.hrnet import at_size
 
 Batch = Mapping[str, Tensor]
-"""rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for none, else the category's place + 1; views int64 () where
-it is a part of a batch of so many."""
+"""rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for background, else category index + 1; views int64 () in a
+micro-batch, the number of views in the whole batch."""
 
 
 class LitSegmentation(LightningModule):
-    """Trains a network with cross-entropy and scores its images by IoU.
+    """LightningModule that trains a network with cross-entropy and scores its segmentations by IoU.
 
     Args:
-        network: makes the network, given the number of `classes`: none, then each category.
-        categories: told apart.
-        optimizer: makes the optimiser, given parameters.
-        scheduler: makes the learning rate's schedule, given the optimiser; stepped once an epoch.
-        tta_hflip: outside training, answer with the mean of what is said of an image and of it in a mirror, as
-            units do.
+        network: factory of the network, called with the number of `classes`: background and each category.
+        categories: names of the categories.
+        optimizer: factory of the optimiser, called with the parameters.
+        scheduler: factory of the learning-rate scheduler, called with the optimiser; stepped once per epoch.
+        tta_hflip: whether to use horizontal-flip test-time augmentation in evaluation mode.
     """
 
     def __init__(
@@ -53,7 +52,7 @@ class LitSegmentation(LightningModule):
     def segment(
         self, rgb: UInt8[Tensor, "b 3 h w"], rows: int, columns: int
     ) -> UInt8[Tensor, "b rows columns"]:
-        """The likeliest class of each pixel at the size asked for: 0 for none, else the category's place + 1."""
+        """Return the most probable class of each pixel at the given size: 0 for background, else category index + 1."""
         training = self.training
         self.eval()
         classes = at_size(self(rgb.to(self.device)), rows, columns).argmax(dim=1)
@@ -61,7 +60,7 @@ class LitSegmentation(LightningModule):
         return classes.to(torch.uint8)
 
     def forward(self, rgb: UInt8[Tensor, "b 3 h w"]) -> Float[Tensor, "b k p q"]:
-        """Logits of the classes, at the network's own size."""
+        """Return the logits of the classes, at the output size of the network."""
         logits: Tensor = self.network(rgb)
         if self.training or not self.tta_hflip:
             return logits
@@ -70,7 +69,7 @@ class LitSegmentation(LightningModule):
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         loss, _ = self.compare(batch)
-        if "views" in batch:  # Lightning takes the mean over parts, which may differ by a view
+        if "views" in batch:  # Lightning averages over parts, whose sizes may differ by a view
             loss = loss * len(batch["rgb"]) * self.trainer.accumulate_grad_batches / batch["views"]
         values = {"loss": loss, "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"]}
         self.log_dict(
@@ -92,17 +91,17 @@ class LitSegmentation(LightningModule):
     def on_test_epoch_end(self) -> None:
         self._log_scores("test", self.test_scores)
 
-    def configure_optimizers(self) -> Any:  # Lightning's own type for this is a union of many
+    def configure_optimizers(self) -> Any:  # Lightning's return type is a large union
         optimizer = self.optimizer(self.parameters())
         return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer)}
 
     def compare(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """The loss, and the likeliest class of each pixel."""
-        truth = batch["segmentation"].long()
-        logits = at_size(self(batch["rgb"]), *truth.shape[-2:])
-        # pixel by pixel: of images, GPUs sum up in a random order
-        total = cross_entropy(logits.permute(0, 2, 3, 1).flatten(0, 2), truth.flatten(), reduction="sum")
-        return total / max(1, truth.numel()), logits.argmax(dim=1)  # a process may have got no view
+        """Return the loss and the most probable class of each pixel."""
+        gt = batch["segmentation"].long()
+        logits = at_size(self(batch["rgb"]), *gt.shape[-2:])
+        # flattened to pixels, because GPUs sum the loss of images in a random order
+        total = cross_entropy(logits.permute(0, 2, 3, 1).flatten(0, 2), gt.flatten(), reduction="sum")
+        return total / max(1, gt.numel()), logits.argmax(dim=1)  # a rank may have no view
 
     def _score(self, batch: Batch, stage: str, scores: MulticlassConfusionMatrix) -> None:
         loss, predicted = self.compare(batch)
@@ -110,15 +109,15 @@ class LitSegmentation(LightningModule):
         scores.update(predicted, batch["segmentation"].long())
 
     def _log_scores(self, stage: str, scores: MulticlassConfusionMatrix) -> None:
-        """Log IoU, precision and recall: the mean over categories, of which none is not one, and of each."""
+        """Log IoU, precision and recall of each category and their means, without the background."""
         counts: Tensor = scores.compute()
-        hits, truth, predicted = (
+        correct, gt, predicted = (
             count[1:] for count in (counts.diagonal(), counts.sum(dim=1), counts.sum(dim=0))
         )
         named = {
-            "iou": hits / (truth + predicted - hits).clamp(min=1),
-            "precision": hits / predicted.clamp(min=1),
-            "recall": hits / truth.clamp(min=1),
+            "iou": correct / (gt + predicted - correct).clamp(min=1),
+            "precision": correct / predicted.clamp(min=1),
+            "recall": correct / gt.clamp(min=1),
         }
         for name, values in named.items():
             self.log(f"{stage}/{name}", values.mean())

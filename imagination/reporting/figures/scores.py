@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from imagination.evaluation.metrics import iou
 from imagination.evaluation.records import Key
 from imagination.reporting import style
-from imagination.reporting.load_run import ConfusionCounts, Runs
+from imagination.reporting.load_run import ConfusionCounts, TrialCounts
 from imagination.utils.tabular import Row
 
 
 def draw_iou(rows: Sequence[Row]) -> Figure:
-    """Pooled IoU of each approach by cell width, with its interval, one panel for each category."""
+    """Draw the pooled IoU of each approach by cell width with its interval, one panel for each category."""
     categories = list(dict.fromkeys(row["category"] for row in rows))
     names = list(dict.fromkeys(row["approach"] for row in rows))
     widths = sorted({float(row["cell_width"]) for row in rows}, reverse=True)
@@ -26,11 +26,13 @@ def draw_iou(rows: Sequence[Row]) -> Figure:
     bar, colours = 0.8 / len(names), style.colours(names)
     for axis, category in zip(axes, categories, strict=True):
         for place, name in enumerate(names):
-            chosen = {
-                float(r["cell_width"]): r for r in rows if (r["category"], r["approach"]) == (category, name)
+            by_width = {
+                float(row["cell_width"]): row
+                for row in rows
+                if (row["category"], row["approach"]) == (category, name)
             }
             value, low, high = (
-                np.array([float(chosen[width][column]) for width in widths])
+                np.array([float(by_width[width][column]) for width in widths])
                 for column in ("iou_pooled", "iou_ci_low", "iou_ci_high")
             )
             error = np.maximum(np.stack([value - low, high - value]), 0)
@@ -57,21 +59,22 @@ def draw_iou(rows: Sequence[Row]) -> Figure:
 
 
 BINS = 10
-"""Of predicted probabilities, in a figure of reliability."""
+"""Number of bins of predicted probabilities in a figure of reliability."""
 
 CELLS = {"all": "all cells", "seen": "cells that depth saw", "unseen": "other cells"}
-"""Kinds of cells, and how they are named."""
+"""Labels of subsets of cells."""
 
 CELL_COLOURS = {"all": "#777777", "seen": "#0072b2", "unseen": "#d55e00"}
+"""Colours of subsets of cells."""
 
 Point = tuple[str, float, float, float]
-"""What was swept, as text; the value, and its interval."""
+"""Swept value as text; metric, and lower and upper bound of its interval."""
 
 
-def draw_distribution(counts: Mapping[Key, Runs], category: str, measure: str) -> Figure:
-    """A box for each approach and cell width: the runs' IoU, or their correct pixels, with every run as a dot.
+def draw_distribution(counts: Mapping[Key, TrialCounts], category: str, measure: str) -> Figure:
+    """Draw a box for each approach and cell width of the trials' IoU or correct pixels, with every trial as a dot.
 
-    Boxes span the quartiles, whiskers reach the last run within 1.5 times that.
+    Boxes span the quartiles; whiskers extend to the last trial within 1.5 times the interquartile range.
     """
     keys = [key for key in counts if key.category == category]
     names = list(dict.fromkeys(key.approach for key in keys))
@@ -84,10 +87,10 @@ def draw_distribution(counts: Mapping[Key, Runs], category: str, measure: str) -
     handles = {}
     for place, name in enumerate(names):
         for group, width in enumerate(widths):
-            runs = counts.get(Key(name, category, width))
-            if not runs:
+            trials = counts.get(Key(name, category, width))
+            if not trials:
                 continue
-            pixels = np.stack(list(runs.values()))
+            pixels = np.stack(list(trials.values()))
             values = iou(pixels) if measure == "iou" else pixels[:, 0].astype(float)
             centre = group + (place + 0.5) * room - 0.42
             box = axis.boxplot(
@@ -102,33 +105,39 @@ def draw_distribution(counts: Mapping[Key, Runs], category: str, measure: str) -
             axis.plot(spread, values, ".", color=mpl.rcParams["text.color"], alpha=0.35, markersize=2.5)
     axis.set_xticks(range(len(widths)), [f"{width:g}" for width in widths])
     axis.set_xlabel("cell width, m")
-    axis.set_ylabel("IoU of a run" if measure == "iou" else "correct pixels of a run")
+    axis.set_ylabel("IoU of a trial" if measure == "iou" else "correct pixels of a trial")
     axis.set_ylim(bottom=0)
     axis.set_title(category)
     axis.grid(axis="y")
-    _legend_below(figure, [handles[name] for name in handles], [style.label(name) for name in handles])
+    legend_below(figure, [handles[name] for name in handles], [style.label(name) for name in handles])
     return figure
 
 
 def precision_recall(
-    confusion_counts: ConfusionCounts,
+    counts: ConfusionCounts,
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Precision and recall at each threshold at which anything is predicted."""
-    predicted = confusion_counts[:, 0] + confusion_counts[:, 1]
-    some = predicted > 0
-    correct = confusion_counts[some, 0]
-    return correct / predicted[some], correct / np.maximum(confusion_counts[some, 2], 1)
+    """Return precision and recall at each threshold with predicted cells."""
+    predicted = counts[:, 0] + counts[:, 1]
+    valid = predicted > 0
+    correct = counts[valid, 0]
+    return correct / predicted[valid], correct / np.maximum(counts[valid, 2], 1)
 
 
 def draw_precision_recall(
-    tallies: Mapping[str, ConfusionCounts], chosen: Mapping[str, float], title: str
+    lines: Mapping[str, ConfusionCounts], selected: Mapping[str, float], title: str
 ) -> Figure:
-    """Precision over recall of each approach, all thresholds; a ring at the one that was chosen."""
-    colours = style.colours(list(tallies))
+    """Draw precision over recall of each approach at all thresholds, with a ring at the selected threshold.
+
+    Args:
+        lines: counts by approach.
+        selected: selected threshold by approach.
+        title: title of the figure.
+    """
+    colours = style.colours(list(lines))
     figure = Figure(figsize=(4.4, 3.9), layout="constrained")
     axis = figure.subplots()
-    for name, confusion_counts in tallies.items():
-        precision, recall = precision_recall(confusion_counts)
+    for name, counts in lines.items():
+        precision, recall = precision_recall(counts)
         single = len(np.unique(recall)) == 1
         axis.plot(
             recall,
@@ -138,92 +147,91 @@ def draw_precision_recall(
             label=style.label(name),
             markersize=5,
         )
-        if name in chosen:
-            at = round(chosen[name] * 100) - 1
-            precision, recall = precision_recall(confusion_counts[at : at + 1])
+        if name in selected:
+            index = round(selected[name] * 100) - 1
+            precision, recall = precision_recall(counts[index : index + 1])
             axis.plot(recall, precision, "o", color=colours[name], markerfacecolor="none", markersize=9)
     _unit_square(axis, "recall", "precision", title)
-    _legend_below(figure, *axis.get_legend_handles_labels())
+    legend_below(figure, *axis.get_legend_handles_labels())
     return figure
 
 
 def reliability(
-    confusion_counts: ConfusionCounts,
+    counts: ConfusionCounts,
 ) -> tuple[Float64[np.ndarray, " b"], Float64[np.ndarray, " b"]]:
-    """Of each tenth of the scores that holds any cell: the mean score, and the share of its cells that are truth."""
-    steps = np.append(
-        confusion_counts[:-1, :2] - confusion_counts[1:, :2], confusion_counts[-1:, :2], axis=0
-    )  # from each threshold to the next
-    scores = (np.arange(len(confusion_counts)) + 1.5) / 100
-    found = []
-    for low in range(0, len(confusion_counts) + 1, (len(confusion_counts) + 1) // BINS):
-        part = slice(max(low - 1, 0), low + (len(confusion_counts) + 1) // BINS - 1)
-        cells = steps[part].sum(axis=1)
+    """Return the mean score and the fraction of ground-truth cells in each of `BINS` bins of scores with cells."""
+    # cells whose score is between each threshold and the next
+    histogram = np.append(counts[:-1, :2] - counts[1:, :2], counts[-1:, :2], axis=0)
+    scores = (np.arange(len(counts)) + 1.5) / 100
+    width = (len(counts) + 1) // BINS
+    points = []
+    for low in range(0, len(counts) + 1, width):
+        part = slice(max(low - 1, 0), low + width - 1)
+        cells = histogram[part].sum(axis=1)
         if cells.sum():
-            found.append((scores[part] @ cells / cells.sum(), steps[part, 0].sum() / cells.sum()))
-    means, shares = np.array(found).reshape(-1, 2).T
-    return means, shares
+            points.append((scores[part] @ cells / cells.sum(), histogram[part, 0].sum() / cells.sum()))
+    means, fractions = np.array(points).reshape(-1, 2).T
+    return means, fractions
 
 
-def draw_reliability(tallies: Mapping[str, ConfusionCounts], title: str) -> Figure:
-    """How often cells with a score are truth: on the diagonal, scores are probabilities.
+def draw_reliability(lines: Mapping[str, ConfusionCounts], title: str) -> Figure:
+    """Draw the fraction of ground-truth cells over the score; calibrated scores are on the diagonal.
 
     Args:
-        tallies: by approach, or by kind of cell (`CELLS`) for the network's own probabilities.
-        title: of the figure.
+        lines: counts by approach, or by subset of cells (`CELLS`) for the network's probabilities.
+        title: title of the figure.
     """
-    named = all(name in CELLS for name in tallies)
-    colours = CELL_COLOURS if named else style.colours(list(tallies))
+    by_cells = all(name in CELLS for name in lines)
+    colours = CELL_COLOURS if by_cells else style.colours(list(lines))
     figure = Figure(figsize=(4.4, 3.9), layout="constrained")
     axis = figure.subplots()
     axis.plot([0, 1], [0, 1], "--", color=mpl.rcParams["axes.edgecolor"], linewidth=1)
-    for name, confusion_counts in tallies.items():
-        means, shares = reliability(confusion_counts)
-        text = CELLS[name] if named else style.label(name)
-        axis.plot(means, shares, "o-", color=colours[name], label=text, markersize=4)
-    _unit_square(
-        axis, "score" if not named else "predicted probability", "share of cells that are truth", title
-    )
-    _legend_below(figure, *axis.get_legend_handles_labels())
+    for name, counts in lines.items():
+        means, fractions = reliability(counts)
+        label = CELLS[name] if by_cells else style.label(name)
+        axis.plot(means, fractions, "o-", color=colours[name], label=label, markersize=4)
+    xlabel = "predicted probability" if by_cells else "score"
+    _unit_square(axis, xlabel, "fraction of ground-truth cells", title)
+    legend_below(figure, *axis.get_legend_handles_labels())
     return figure
 
 
-def draw_ablation(panels: Mapping[str, Mapping[str, Sequence[Point]]], across: str, up: str) -> Figure:
-    """One panel beside the other, with a line for each name: what came of what was swept, with intervals.
+def draw_ablation(panels: Mapping[str, Mapping[str, Sequence[Point]]], xlabel: str, ylabel: str) -> Figure:
+    """Draw a metric over the swept value with intervals, one panel for each title and a line for each name.
 
     Args:
-        panels: by title, the points of each line.
-        across: what was swept.
-        up: what came of it.
+        panels: points of each line, by title of the panel and name of the line.
+        xlabel: name of the swept key.
+        ylabel: name of the metric.
     """
     figure = Figure(figsize=(0.8 + 3.4 * len(panels), 3.6), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
     names = list(dict.fromkeys(name for lines in panels.values() for name in lines))
-    texts = dict.fromkeys(
+    values = dict.fromkeys(
         point[0] for lines in panels.values() for points in lines.values() for point in points
     )
-    numbers = all(map(_is_number, texts))
-    order = sorted(texts, key=float) if numbers else list(texts)
-    places = {text: float(text) if numbers else float(at) for at, text in enumerate(order)}
-    room = (max(places.values()) - min(places.values()) or 1.0) * 0.012  # keeps intervals apart
+    numeric = all(map(_is_number, values))
+    order = sorted(values, key=float) if numeric else list(values)
+    positions = {value: float(value) if numeric else float(index) for index, value in enumerate(order)}
+    offset = (max(positions.values()) - min(positions.values()) or 1.0) * 0.012  # separates intervals
     colours = style.colours(names)
     for axis, (title, lines) in zip(axes, panels.items(), strict=True):
-        for at, (name, points) in enumerate(lines.items()):
-            ranked = sorted(points, key=lambda point: places[point[0]])
-            values = np.array([point[1:] for point in ranked])
-            shifted = [places[point[0]] + (at - (len(lines) - 1) / 2) * room for point in ranked]
-            error = np.maximum(np.stack([values[:, 0] - values[:, 1], values[:, 2] - values[:, 0]]), 0)
+        for index, (name, points) in enumerate(lines.items()):
+            ordered = sorted(points, key=lambda point: positions[point[0]])
+            metric, low, high = np.array([point[1:] for point in ordered]).T
+            x = [positions[point[0]] + (index - (len(lines) - 1) / 2) * offset for point in ordered]
+            error = np.maximum(np.stack([metric - low, high - metric]), 0)
             axis.errorbar(
-                shifted, values[:, 0], yerr=error, fmt="o-" if numbers else "o", capsize=2, markersize=4,
+                x, metric, yerr=error, fmt="o-" if numeric else "o", capsize=2, markersize=4,
                 color=colours[name], label=style.label(name),
             )  # fmt: skip
-        axis.set_xticks(list(places.values()), order, rotation=0 if numbers else 20)
-        axis.set_xlabel(across)
+        axis.set_xticks(list(positions.values()), order, rotation=0 if numeric else 20)
+        axis.set_xlabel(xlabel)
         axis.set_title(title)
         axis.grid(axis="y")
-    axes[0].set_ylabel(up)
+    axes[0].set_ylabel(ylabel)
     axes[0].set_ylim(bottom=0)
-    _legend_below(figure, *axes[0].get_legend_handles_labels())
+    legend_below(figure, *axes[0].get_legend_handles_labels())
     return figure
 
 
@@ -235,12 +243,12 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _unit_square(axis: Axes, across: str, up: str, title: str) -> None:
-    axis.set(xlim=(0, 1.01), ylim=(0, 1.01), xlabel=across, ylabel=up, title=title)
+def _unit_square(axis: Axes, xlabel: str, ylabel: str, title: str) -> None:
+    axis.set(xlim=(0, 1.01), ylim=(0, 1.01), xlabel=xlabel, ylabel=ylabel, title=title)
     axis.grid()
 
 
-def _legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:
-    """Below the axes, two or three names a row."""
+def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:
+    """Draw the legend below the axes, two or three names per row."""
     columns = 3 if len(labels) > 4 else 2
     figure.legend(handles, labels, loc="outside lower center", ncols=columns)

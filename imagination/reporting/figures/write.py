@@ -1,4 +1,4 @@
-"""Figures of an evaluation as files."""
+"""Writer of the figures of an evaluation."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from imagination.utils.tabular import Row
 
 
 def write_figures(folder: Path, report: Report, rows: Sequence[Row]) -> None:
-    """Write maps_<category>.png and iou.png into `folder`, each whole or not at all."""
+    """Write maps_<category>.png and iou.png into `folder`, each atomically."""
     by_category: dict[str, list[Example]] = defaultdict(list)
     for example in report.examples:
         by_category[example.category].append(example)

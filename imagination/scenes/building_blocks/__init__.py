@@ -1,1 +1,1 @@
-"""Shapes, surfaces and pieces that furniture and scenes are built from; plugins may import them."""
+"""Building blocks of furniture and scenes: shapes, textures, finishes and pieces; a public API for plugins."""

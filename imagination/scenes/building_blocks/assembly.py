@@ -1,4 +1,4 @@
-"""Pieces put together into one mesh."""
+"""Assembly of placed pieces into one mesh and its objects."""
 
 import numpy as np
 from jaxtyping import Float, Int32
@@ -8,41 +8,41 @@ from imagination.scenes.building_blocks.pieces import Piece, Placed
 from imagination.scenes.scene import Mesh, OrientedBox, SceneObject
 
 
-def assemble(things: list[Placed]) -> Mesh:
-    """One mesh of all things; a thing's number is its instance id."""
-    pieces = [thing.piece for thing in things]
+def assemble(objects: list[Placed]) -> Mesh:
+    """Assemble placed pieces into one mesh; the index of an object is its instance id."""
+    pieces = [obj.piece for obj in objects]
     finishes: dict[int, Finish] = {id(finish): finish for piece in pieces for finish in piece.finishes}
-    row = {key: number for number, key in enumerate(finishes)}
+    rows = {key: number for number, key in enumerate(finishes)}
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
     return Mesh(
-        np.concatenate([thing.points() for thing in things]).astype(np.float32),
+        np.concatenate([obj.points() for obj in objects]).astype(np.float32),
         np.concatenate(
             [piece.faces + start for piece, start in zip(pieces, starts[:-1], strict=True)]
         ).astype(np.int32),
         np.repeat(np.arange(len(pieces)), [len(piece.faces) for piece in pieces]).astype(np.int32),
-        np.concatenate([_rows(piece, row) for piece in pieces]),
+        np.concatenate([_materials(piece, rows) for piece in pieces]),
         np.concatenate([_uv(piece) for piece in pieces]).astype(np.float32),
         tuple(finish.material for finish in finishes.values()),
     )
 
 
-def _rows(piece: Piece, row: dict[int, int]) -> Int32[np.ndarray, " m"]:
-    """The mesh's material of each face of a piece."""
-    return np.asarray(np.array([row[id(finish)] for finish in piece.finishes], np.int32)[piece.face_finish])
+def _materials(piece: Piece, rows: dict[int, int]) -> Int32[np.ndarray, " m"]:
+    """Return the index of the mesh material of each face of a piece."""
+    return np.asarray(np.array([rows[id(finish)] for finish in piece.finishes], np.int32)[piece.face_finish])
 
 
 def _uv(piece: Piece) -> Float[np.ndarray, "m 3 2"]:
-    """Texture coordinates in copies of the texture."""
+    """Return the texture coordinates of each face in units of texture tiles."""
     tile = np.array([finish.tile for finish in piece.finishes])[piece.face_finish]
     return np.asarray(piece.uv / tile[:, None, None])
 
 
-def object_of(instance: int, thing: Placed, category: str | None) -> SceneObject:
-    """A placed thing as an object of the scene."""
-    low, high = thing.piece.low, thing.piece.high
-    middle = Placed(thing.piece, *((low + high)[:2] / 2).tolist()).within(thing.x, thing.y, thing.yaw)
-    centre = (middle.x, middle.y, float(thing.z + (low[2] + high[2]) / 2))
+def object_of(instance: int, placed: Placed, category: str | None) -> SceneObject:
+    """Return a placed piece as an object of the scene."""
+    low, high = placed.piece.low, placed.piece.high
+    origin = Placed(placed.piece, *((low + high)[:2] / 2).tolist()).within(placed.x, placed.y, placed.yaw)
+    centre = (origin.x, origin.y, float(placed.z + (low[2] + high[2]) / 2))
     width, depth, height = (high - low).tolist()
-    yaw = float(np.arctan2(np.sin(thing.yaw), np.cos(thing.yaw)))
+    yaw = float(np.arctan2(np.sin(placed.yaw), np.cos(placed.yaw)))
     box = OrientedBox(centre, (width, depth, height), yaw)
-    return SceneObject(instance, thing.piece.label, category, box, thing.piece.model)
+    return SceneObject(instance, placed.piece.label, category, box, placed.piece.model)

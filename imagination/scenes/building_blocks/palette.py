@@ -1,4 +1,4 @@
-"""The finishes of one home's surfaces."""
+"""Palette of surface finishes of one home."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,11 +26,11 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Finish:
-    """How a surface looks.
+    """Finish of a surface.
 
     Attributes:
         material: colour and texture.
-        tile: metres that one copy of the texture spans.
+        tile: side of one texture tile, metres.
     """
 
     material: Material
@@ -56,7 +56,7 @@ WALLS: list[Colour] = [
 
 
 class Palette:
-    """The finishes of one home: a handful of each kind, so that things in a home go together."""
+    """Finishes of one home: a few of each kind, so that the surfaces of a home match."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -77,28 +77,30 @@ class Palette:
         self.white = Finish(Material((0.95, 0.95, 0.95)))
 
     def pick(self, finishes: list[Finish]) -> Finish:
-        """One of several finishes."""
+        """Draw one of several finishes."""
         return finishes[int(self._rng.integers(len(finishes)))]
 
-    def one(
+    def new_finish(
         self, pattern: Callable[[np.random.Generator], Image] | None, colour: Colour, tile: float
     ) -> Finish:
-        """A finish of its own."""
+        """Return a new finish with a texture drawn from `pattern`."""
         return Finish(Material(colour, None if pattern is None else pattern(self._rng)), tile)
 
     def floor(self, wet: bool) -> Finish:
-        """A floor: tiles where it gets wet, else boards, parquet, carpet or tiles."""
+        """Draw a floor finish: tiles in wet rooms, else planks, herringbone parquet, carpet or tiles."""
         if wet or self._rng.random() < 0.12:
-            return self.one(tiles, self._near([(0.85, 0.83, 0.80), (0.6, 0.6, 0.6), (0.78, 0.70, 0.60)]), 1.4)
+            return self.new_finish(
+                tiles, self._near([(0.85, 0.83, 0.80), (0.6, 0.6, 0.6), (0.78, 0.70, 0.60)]), 1.4
+            )
         kind = int(self._rng.integers(4))
         if kind == 3:
-            return self.one(
+            return self.new_finish(
                 carpet, self._near([(0.70, 0.66, 0.60), (0.45, 0.47, 0.52), (0.60, 0.50, 0.45)]), 0.6
             )
-        return self.one(herringbone if kind == 2 else planks, self._near(WOODS[:7]), 1.1)
+        return self.new_finish(herringbone if kind == 2 else planks, self._near(WOODS[:7]), 1.1)
 
     def accent(self) -> Finish:
-        """A plain colour for small things."""
+        """Draw a plain colour for small objects."""
         return Finish(Material(self._any()))
 
     def _several(
@@ -108,10 +110,12 @@ class Palette:
         colour: Callable[[], Colour],
         tile: float,
     ) -> list[Finish]:
+        """Draw `count` finishes with the same texture."""
         image = None if pattern is None else pattern(self._rng)
         return [Finish(Material(colour(), image), tile) for _ in range(count)]
 
     def _near(self, colours: list[Colour]) -> Colour:
+        """Draw a colour near one of several."""
         base = np.array(colours[int(self._rng.integers(len(colours)))])
         red, green, blue = np.clip(
             base * self._rng.uniform(0.88, 1.08) + self._rng.normal(0, 0.015, 3), 0, 1
@@ -119,12 +123,13 @@ class Palette:
         return red, green, blue
 
     def _any(self) -> Colour:
-        """Any colour, mostly muted."""
+        """Draw any colour, usually muted."""
         grey, tint = self._rng.uniform(0.12, 0.9), self._rng.uniform(-1, 1, 3) * self._rng.uniform(0.02, 0.24)
         red, green, blue = np.clip(grey + tint, 0.03, 0.97).tolist()
         return red, green, blue
 
     def _pale(self) -> Colour:
+        """Draw a pale colour."""
         red, green, blue = np.clip(
             self._rng.uniform(0.78, 0.97) + self._rng.uniform(-0.06, 0.06, 3), 0, 1
         ).tolist()

@@ -1,4 +1,4 @@
-"""Things made of parts in a frame of their own (x right, y front, z up, origin on the floor), and their places."""
+"""Pieces made of parts in a local frame (x right, y front, z up, origin on the floor), and their placement."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,14 +13,14 @@ from imagination.scenes.building_blocks.shapes import Point, Solid
 
 
 class Seat(NamedTuple):
-    """Where a chair goes at a table, in the table's frame.
+    """Place for a chair at a table, in the frame of the table.
 
     Attributes:
-        x, y: point on the table's edge.
-        yaw: of the chair that faces the table there.
-        width: room along the edge, metres.
-        depth: how far under the top a chair may go, metres.
-        underside: height of the lowest thing above the chair, metres.
+        x, y: point on the edge of the table, metres.
+        yaw: yaw of a chair that faces the table, radians.
+        width: available width along the edge, metres.
+        depth: maximum depth of a chair under the top, metres.
+        underside: height of the lowest part above the chair, metres.
     """
 
     x: float
@@ -32,7 +32,7 @@ class Seat(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """A level rectangle in a piece's frame on which smaller things stand."""
+    """Horizontal rectangle for smaller objects, in the frame of a piece; metres."""
 
     x0: float
     y0: float
@@ -43,15 +43,16 @@ class Surface(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A finished thing, ready to be placed any number of times.
+    """Finished piece of furniture or building that can be placed any number of times.
 
     Attributes:
-        label: what it is, e.g. "armchair".
-        model: its family and style.
-        vertices, faces, uv: triangles; texture coordinates in metres.
-        face_finish: row of `finishes` for each face.
-        seats: where chairs go.
-        surfaces: where smaller things stand.
+        label: label of the object, e.g. "armchair".
+        model: family and style.
+        vertices, faces, uv: triangles and their texture coordinates, metres.
+        face_finish: index into `finishes` of each face.
+        finishes: finishes of the faces.
+        seats: places for chairs.
+        surfaces: surfaces for smaller objects.
     """
 
     label: str
@@ -66,18 +67,18 @@ class Piece:
 
     @cached_property
     def low(self) -> Float[np.ndarray, "3"]:
-        """Smallest x, y, z."""
+        """Smallest x, y, z of the vertices, metres."""
         return np.asarray(self.vertices.min(axis=0))
 
     @cached_property
     def high(self) -> Float[np.ndarray, "3"]:
-        """Largest x, y, z."""
+        """Largest x, y, z of the vertices, metres."""
         return np.asarray(self.vertices.max(axis=0))
 
 
 @dataclass
 class Assembly:
-    """Collects the parts of one piece."""
+    """Builder that collects the parts of one piece."""
 
     label: str
     model: str = ""
@@ -94,9 +95,9 @@ class Assembly:
         tilt: float = 0.0,
         whole: bool = False,
     ) -> None:
-        """Add a part; its texture is laid on before it is tilted, turned and moved, so that grain follows the part.
+        """Add a part, tilted, turned and moved after texture mapping, so that the grain follows the part.
 
-        With `whole` one copy of the texture covers each side of the part, whatever its size.
+        With `whole` one texture tile covers each side of the part, whatever its size.
         """
         if whole:
             low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
@@ -105,19 +106,19 @@ class Assembly:
                 * finish.tile
             )
         else:
-            # parts start at different places of the texture, or neighbouring boards would look the same
+            # parts have different texture offsets, otherwise neighbouring boards would be identical
             uv = box_uv(solid) + 0.37 * len(self.parts)
         self.parts.append((solid.moved(at, yaw, tilt), finish, uv))
 
     def turn(self, yaw: float) -> None:
-        """Turn all parts added so far about z."""
+        """Rotate all parts added so far about z."""
         self.parts = [(solid.moved(yaw=yaw), finish, uv) for solid, finish, uv in self.parts]
 
     def finished(self) -> Piece:
-        """The piece of all parts added."""
+        """Return the piece made of all parts added."""
         solids = [solid for solid, _, _ in self.parts]
         finishes = list({id(finish): finish for _, finish, _ in self.parts}.values())
-        row = {id(finish): number for number, finish in enumerate(finishes)}
+        rows = {id(finish): number for number, finish in enumerate(finishes)}
         starts = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
         return Piece(
             self.label,
@@ -126,7 +127,7 @@ class Assembly:
             np.concatenate([solid.faces + start for solid, start in zip(solids, starts[:-1], strict=True)]),
             np.concatenate([uv for _, _, uv in self.parts]),
             np.repeat(
-                [row[id(finish)] for _, finish, _ in self.parts], [len(solid.faces) for solid in solids]
+                [rows[id(finish)] for _, finish, _ in self.parts], [len(solid.faces) for solid in solids]
             ),
             tuple(finishes),
             tuple(self.seats),
@@ -135,9 +136,9 @@ class Assembly:
 
 
 def box_uv(solid: Solid) -> Float[np.ndarray, "m 3 2"]:
-    """Texture coordinates in metres: each face takes the plane that it looks along most.
+    """Return box-mapped texture coordinates in metres: each face is projected along the main axis of its normal.
 
-    The texture's v axis, along which wood grain runs, is z on upright faces and x on level ones.
+    The v axis of the texture, the direction of wood grain, is z on vertical faces and x on horizontal faces.
     """
     corners = solid.vertices[solid.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -147,7 +148,7 @@ def box_uv(solid: Solid) -> Float[np.ndarray, "m 3 2"]:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A piece at a place: x, y, z of its origin in metres and its yaw in radians."""
+    """Placed piece: x, y, z of its origin in metres and its yaw in radians."""
 
     piece: Piece
     x: float = 0.0
@@ -156,7 +157,7 @@ class Placed:
     z: float = 0.0
 
     def within(self, x: float, y: float, yaw: float, z: float = 0.0) -> "Placed":
-        """The same thing, its present place being relative to a frame at (x, y, z) turned by `yaw`."""
+        """Return the piece with its pose transformed from a frame at (x, y, z) and `yaw` to the parent frame."""
         cos, sin = np.cos(yaw), np.sin(yaw)
         return Placed(
             self.piece,
@@ -167,20 +168,20 @@ class Placed:
         )
 
     def footprint(self, margin: float = 0.0) -> Float[np.ndarray, "4 2"]:
-        """Corners of its box seen from above, counter-clockwise, grown by `margin` metres."""
+        """Return the corners of the bounding box seen from above, counter-clockwise, dilated by `margin` metres."""
         return rectangle_at(
             self.piece.low[:2] - margin, self.piece.high[:2] + margin, self.x, self.y, self.yaw
         )
 
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """Its vertices at this place."""
+        """Return the vertices of the placed piece."""
         return Solid(self.piece.vertices, self.piece.faces).moved((self.x, self.y, self.z), self.yaw).vertices
 
 
 def rectangle_at(
     low: Sequence[float] | np.ndarray, high: Sequence[float] | np.ndarray, x: float, y: float, yaw: float
 ) -> Float[np.ndarray, "4 2"]:
-    """Corners of the rectangle from `low` to `high`, turned by `yaw` and moved to (x, y)."""
+    """Return the corners of the rectangle from `low` to `high`, rotated by `yaw` and moved to (x, y)."""
     corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
     cos, sin = np.cos(yaw), np.sin(yaw)
     return np.asarray(corners @ np.array([[cos, sin], [-sin, cos]]) + [x, y])

@@ -1,17 +1,17 @@
-"""Small images that repeat without a seam."""
+"""Procedural textures: small images that repeat without a seam."""
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 SIDE = 128
-"""Pixels a side of a texture."""
+"""Side of a texture, pixels."""
 
 Image = UInt8[np.ndarray, "s s 3"]
 Grey = Float[np.ndarray, "s s"]
 
 
 def noise(rng: np.random.Generator, across: float, along: float) -> Grey:
-    """Smooth noise that repeats, mean 0 and deviation 1; features of `across` x `along` of the image (u, v)."""
+    """Return smooth periodic noise, mean 0 and deviation 1; features span `across` x `along` of the image (u, v)."""
     u, v = np.fft.fftfreq(SIDE)[None, :] * SIDE, np.fft.fftfreq(SIDE)[:, None] * SIDE
     weight = np.exp(-((u * across) ** 2) - (v * along) ** 2)
     field = np.fft.ifft2(np.fft.fft2(rng.standard_normal((SIDE, SIDE))) * weight).real
@@ -19,7 +19,7 @@ def noise(rng: np.random.Generator, across: float, along: float) -> Grey:
 
 
 def _image(grey: Grey, tint: Grey | None = None) -> Image:
-    """A brightness around 1 as an image, 1 at level 220 to leave head room; `tint` reddens where it is positive."""
+    """Return a brightness around 1 as an image, with 1 at level 220 for headroom; a positive `tint` reddens."""
     tint = np.zeros_like(grey) if tint is None else tint
     channels = np.stack([grey * (1 + tint), grey, grey * (1 - tint)], axis=-1)
     return _pixels(channels * 220)
@@ -30,13 +30,13 @@ def _pixels(levels: Float[np.ndarray, "s s 3"]) -> Image:
 
 
 def wood(rng: np.random.Generator) -> Image:
-    """Grain along v."""
+    """Draw wood with its grain along v."""
     rings = np.sin(6.0 * noise(rng, 0.06, 0.9) + 2.5 * noise(rng, 0.25, 0.9))
     return _image(1 + 0.06 * rings + 0.05 * noise(rng, 0.012, 0.25), 0.015 * noise(rng, 0.1, 0.8))
 
 
 def planks(rng: np.random.Generator) -> Image:
-    """Boards of a floor along v, each with its own shade and a joint."""
+    """Draw floor boards along v, each with a shade and a joint."""
     boards = int(rng.integers(5, 8))
     row, column = np.indices((SIDE, SIDE))
     board = column * boards // SIDE
@@ -48,7 +48,7 @@ def planks(rng: np.random.Generator) -> Image:
 
 
 def herringbone(rng: np.random.Generator) -> Image:
-    """Parquet of short blocks laid in alternate directions."""
+    """Draw parquet of short blocks in alternating directions."""
     row, column = np.indices((SIDE, SIDE))
     block = SIDE // 4
     turned = (row // block + column // block) % 2 == 1
@@ -59,7 +59,7 @@ def herringbone(rng: np.random.Generator) -> Image:
 
 
 def tiles(rng: np.random.Generator) -> Image:
-    """Square tiles, four by four, with grout."""
+    """Draw four by four square tiles with grout."""
     row, column = np.indices((SIDE, SIDE))
     side = SIDE // 4
     shade = rng.normal(0, 0.03, (4, 4))[row // side, column // side]
@@ -68,12 +68,12 @@ def tiles(rng: np.random.Generator) -> Image:
 
 
 def plaster(rng: np.random.Generator) -> Image:
-    """Painted walls: almost plain."""
+    """Draw an almost plain painted wall."""
     return _image(1 + 0.012 * noise(rng, 0.02, 0.02) + 0.015 * noise(rng, 0.2, 0.2))
 
 
 def wallpaper(rng: np.random.Generator) -> Image:
-    """Soft stripes or dots on a wall."""
+    """Draw wallpaper with soft stripes or dots."""
     row, column = np.indices((SIDE, SIDE)) / SIDE * 2 * np.pi
     count = int(rng.integers(3, 8))
     stripes = np.sign(np.sin(count * column))
@@ -83,14 +83,14 @@ def wallpaper(rng: np.random.Generator) -> Image:
 
 
 def fabric(rng: np.random.Generator) -> Image:
-    """A weave."""
+    """Draw woven fabric."""
     row, column = np.indices((SIDE, SIDE))
     weave = ((row // 2 + column // 2) % 2) * 2.0 - 1
     return _image(1 + 0.05 * weave + 0.05 * noise(rng, 0.008, 0.008) + 0.03 * noise(rng, 0.1, 0.1))
 
 
 def stripes(rng: np.random.Generator) -> Image:
-    """Striped cloth for curtains, covers and rugs."""
+    """Draw striped cloth."""
     column = np.indices((SIDE, SIDE))[1]
     bands = rng.integers(4, 9)
     dark = (column * bands // SIDE) % 2
@@ -98,12 +98,12 @@ def stripes(rng: np.random.Generator) -> Image:
 
 
 def carpet(rng: np.random.Generator) -> Image:
-    """A pile."""
+    """Draw the pile of a carpet."""
     return _image(1 + 0.09 * noise(rng, 0.006, 0.006) + 0.04 * noise(rng, 0.1, 0.1))
 
 
 def rug(rng: np.random.Generator) -> Image:
-    """A pattern of lozenges within a border, spread once over a rug."""
+    """Draw a rug with a border around lozenges; one tile covers the rug."""
     row, column = np.indices((SIDE, SIDE))
     edge = np.minimum.reduce([row, column, SIDE - 1 - row, SIDE - 1 - column])
     lozenge = (np.abs(row - SIDE / 2) + np.abs(column - SIDE / 2)) // int(rng.integers(6, 16)) % 2
@@ -115,22 +115,22 @@ def rug(rng: np.random.Generator) -> Image:
 
 
 def marble(rng: np.random.Generator) -> Image:
-    """Stone of worktops."""
+    """Draw marble with veins."""
     veins = np.abs(noise(rng, 0.1, 0.1)) < 0.06
     return _image(1 + 0.04 * noise(rng, 0.15, 0.15) + 0.05 * noise(rng, 0.01, 0.01) - 0.12 * veins)
 
 
 def painting(rng: np.random.Generator) -> Image:
-    """Something to hang on a wall: patches of colour over a horizon."""
+    """Draw a picture: patches of colour over a horizon."""
     first, second = noise(rng, 0.25, 0.12), noise(rng, 0.12, 0.12)
     shades = rng.uniform(0.15, 1.0, (4, 3))
-    choice = (first > 0).astype(int) * 2 + (second + np.linspace(-1, 1, SIDE)[:, None] > 0)
+    patch = (first > 0).astype(int) * 2 + (second + np.linspace(-1, 1, SIDE)[:, None] > 0)
     grain = 1 + 0.08 * noise(rng, 0.02, 0.02)[..., None]
-    return _pixels(shades[choice] * grain * 235)
+    return _pixels(shades[patch] * grain * 235)
 
 
 def sky(rng: np.random.Generator) -> Image:
-    """What a window shows: bright above, a blurred skyline or trees below."""
+    """Draw the view from a window: bright sky above a blurred skyline or trees."""
     height = np.linspace(0, 1, SIDE)[::-1, None] + 0 * np.zeros((1, SIDE))
     ground = height < 0.32 + 0.08 * noise(rng, 0.1, 4.0)
     day = np.stack(

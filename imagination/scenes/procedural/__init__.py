@@ -1,1 +1,1 @@
-"""Furnished homes made by rule from a seed: floor plan, furniture, textures, light; no assets needed."""
+"""Procedural homes generated from a seed: floor plan, furniture, textures and lighting, without assets."""

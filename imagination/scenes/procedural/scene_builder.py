@@ -1,9 +1,10 @@
-"""One home: plan, building and furniture put together into a scene."""
+"""Builder of one home: a scene with floor plan, building and furniture."""
 
 import numpy as np
 from jaxtyping import Float
 
 from imagination.scenes.building_blocks.assembly import assemble, object_of
+from imagination.scenes.building_blocks.furniture_source import SOURCE, Furniture
 from imagination.scenes.building_blocks.pieces import Placed
 from imagination.scenes.categories import CategoryTable
 from imagination.scenes.free_space import free_space
@@ -11,24 +12,24 @@ from imagination.scenes.procedural.floor_plan.building import build_building
 from imagination.scenes.procedural.floor_plan.layouts import draw_plan
 from imagination.scenes.procedural.floor_plan.plan import Plan
 from imagination.scenes.procedural.furnishing.room_rules import furnish
-from imagination.scenes.procedural.furniture.stock import Furniture, Stock
+from imagination.scenes.procedural.furniture.stock import Stock
 from imagination.scenes.scene import FreeSpace, Lighting, Scene
 from imagination.scenes.source import Split
 from imagination.utils.errors import UserError
 
 STREAMS: dict[Split, int] = {"train": 0, "val": 1, "test": 3}
-"""Of random numbers, in a home's seed. 2 made test homes that had been looked at when settings were chosen."""
+"""Random streams of the splits in a home's seed. Stream 2 is retired: its test homes were used to select settings."""
 
 ATTEMPTS = 12
-"""Homes drawn before giving up; nearly always the first is good."""
+"""Maximum number of attempts to draw a home; the first nearly always succeeds."""
 REQUIRED: tuple[frozenset[str], ...] = (
     frozenset({"chair"}),
     frozenset({"dining_table", "desk"}),
     frozenset({"double_bed", "single_bed", "bunk_bed"}),
 )
-"""Every home has something of each of these."""
-ROOM_SHARE = 0.08
-"""Share of each room's floor that must be free and reachable, at least one cell."""
+"""Sets of labels; every home contains at least one label of each set."""
+MIN_FREE_FRACTION = 0.08
+"""Minimum fraction of each room's floor area that must be free and reachable."""
 
 
 def build_home(
@@ -40,10 +41,10 @@ def build_home(
     robot_radius: float,
     furniture_source: Furniture,
 ) -> Scene:
-    """Build a home; it depends on nothing but the arguments.
+    """Build a home; the result depends on the arguments only.
 
     Raises:
-        UserError: if none of ATTEMPTS draws gives a home in which the robot reaches every room.
+        UserError: if no attempt gives a home in which the robot reaches every room.
     """
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, STREAMS[split], number, attempt])
@@ -51,12 +52,12 @@ def build_home(
         stock = Stock(furniture_source, split, rng)
         furniture = furnish(plan, stock, robot_radius)
         labels = {obj.piece.label for obj in furniture}
-        if not all(labels & any_of for any_of in REQUIRED):
+        if not all(labels & alternatives for alternatives in REQUIRED):
             continue
         building = Placed(build_building(plan, stock.palette, rng))
         yaw = float(rng.uniform(-np.pi, np.pi))
         lighting = _lighting(rng)
-        centre = _middle(building.within(0.0, 0.0, yaw))
+        centre = _centre(building.within(0.0, 0.0, yaw))
         placed = [obj.within(-centre[0], -centre[1], yaw) for obj in (building, *furniture)]
         mesh = assemble(placed)
         try:
@@ -65,38 +66,39 @@ def build_home(
             continue
         if _reaches_all(free, plan, placed[0]):
             objects = tuple(
-                object_of(i, obj, categories.of_label("procedural", obj.piece.label))
+                object_of(i, obj, categories.of_label(SOURCE, obj.piece.label))
                 for i, obj in enumerate(placed)
                 if i > 0
             )
             return Scene(name, mesh, lighting, objects, free, 0.0, plan.ceiling)
     raise UserError(
-        f"{name}: none of {ATTEMPTS} draws gave a home that a robot of radius {robot_radius} m gets through; "
-        "choose another seed or a smaller radius"
+        f"{name}: got no home that a robot of radius {robot_radius} m can traverse in {ATTEMPTS} attempts; "
+        "use another seed or a smaller radius"
     )
 
 
-def _middle(building: Placed) -> Float[np.ndarray, "2"]:
+def _centre(building: Placed) -> Float[np.ndarray, "2"]:
+    """Return the centre x, y of the bounding box of a building."""
     points = building.points()[:, :2]
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
 
 
 def _reaches_all(free: FreeSpace, plan: Plan, building: Placed) -> bool:
-    """Whether enough of each room's floor is within the connected free space."""
+    """Return whether the free space contains MIN_FREE_FRACTION of each room."""
     rows, columns = np.nonzero(free.mask)
     points = free.grid.to_points(np.stack([rows, columns], axis=-1)) - (building.x, building.y)
     cos, sin = np.cos(building.yaw), np.sin(building.yaw)
     local = points @ np.array([[cos, -sin], [sin, cos]])  # back into the plan's frame
-    cell = free.grid.resolution**2
+    cell_area = free.grid.resolution**2
     for room in plan.rooms:
         inside = (local >= (room.x0, room.y0)) & (local <= (room.x1, room.y1))
-        if inside.all(axis=1).sum() * cell < ROOM_SHARE * room.area:
+        if inside.all(axis=1).sum() * cell_area < MIN_FREE_FRACTION * room.area:
             return False
     return True
 
 
 def _lighting(rng: np.random.Generator) -> Lighting:
-    """Light from above and from two sides, warm or cold, brighter or dimmer."""
+    """Draw light from above and from two sides, with random colour temperature and brightness."""
     warm = rng.uniform(-1, 1)
     tint = np.array([1 + 0.06 * warm, 1.0, 1 - 0.09 * warm])
     turn = rng.uniform(0, 2 * np.pi) + np.array([0.0, 2.2])

@@ -1,4 +1,4 @@
-"""The scene source of procedural homes."""
+"""Scene source of procedural homes."""
 
 import hashlib
 import re
@@ -8,36 +8,35 @@ from pathlib import Path
 
 import numpy as np
 
-from imagination.scenes import free_space as free_space_module
+from imagination.scenes.building_blocks.furniture_source import LABELS, SOURCE, Furniture
 from imagination.scenes.categories import CategoryTable
-from imagination.scenes.procedural.furniture.stock import LABELS, Furniture, ProceduralFurniture
+from imagination.scenes.procedural.furniture.stock import ProceduralFurniture
 from imagination.scenes.procedural.scene_builder import build_home
 from imagination.scenes.scene import Scene
 from imagination.scenes.source import SPLITS, Credit, Split
+from imagination.utils.code_hash import code_hash
 from imagination.utils.errors import UserError, check_range
 
-SOURCE = "procedural"
-
 MAX_SCENES = 9999
-"""Homes of a split."""
+"""Maximum number of homes in a split."""
 
 SPARE = "known"
-"""What homes with furniture that is known from training, none of which is trained on, are called."""
+"""Name prefix of homes that have training furniture but are not used in training."""
 
 
 class ProceduralHomes:
-    """Furnished homes made by rule; a home depends only on the seed, its split and its number.
+    """Source of furnished procedural homes; a home depends only on the seed, its split and its number.
 
     Args:
-        seed: of the homes, apart from the seed of training, so that runs with different seeds share homes.
-        splits: number of homes of each split.
-        categories: which labels belong to which category.
-        robot_radius: of the robot that must get through every room, metres.
-        required: categories that must be among those that homes can contain.
-        furniture: where the pieces come from; made by rule unless given.
+        seed: seed of the homes, independent of the training seed, so that runs with different seeds use the same homes.
+        splits: number of homes in each split.
+        categories: category table with the labels of each category.
+        robot_radius: radius of the robot that must reach every room, metres.
+        required: categories that homes must be able to contain.
+        furniture: source of the furniture; procedural if None.
 
     Raises:
-        UserError: on a value out of range, a label that no home contains, or a required category without labels.
+        UserError: if a value is out of range, a label does not exist, or a required category has no label.
     """
 
     name = SOURCE
@@ -61,7 +60,7 @@ class ProceduralHomes:
             unknown = sorted(set(category.aliases.get(SOURCE, ())) - set(LABELS))
             if unknown:
                 raise UserError(
-                    f"categories: {category.name} claims {', '.join(unknown)} of {SOURCE}, expected labels among: "
+                    f"categories: got labels {', '.join(unknown)} of {SOURCE} for {category.name}, expected some of: "
                     f"{', '.join(sorted(LABELS))}"
                 )
         self._seed, self._counts = seed, dict(splits)
@@ -71,30 +70,30 @@ class ProceduralHomes:
             categories.index(name)
             if name not in self.categories():
                 raise UserError(
-                    f"category {name}: no procedural home contains it; list its labels under aliases.{SOURCE} "
-                    f"(homes know: {', '.join(sorted(LABELS))})"
+                    f"category {name}: got no labels of procedural homes, expected at least one under "
+                    f"aliases.{SOURCE}; add some of: {', '.join(sorted(LABELS))}"
                 )
 
     def categories(self) -> tuple[str, ...]:
-        """Categories that homes of every split contain, without loading any."""
+        """Return the categories that homes of every split contain, without loading a home."""
         return tuple(category.name for category in self._categories if category.aliases.get(SOURCE))
 
     def scenes(self, split: Split) -> list[str]:
-        """Names of a split's homes.
+        """Return the names of the homes of a split.
 
         Raises:
-            UserError: if the split has none.
+            UserError: if the split is empty.
         """
         if split not in SPLITS:
             raise UserError(f"split: got {split!r}, expected one of: {', '.join(SPLITS)}")
         if self._counts[split] == 0:
             raise UserError(
-                f"split {split}: has no homes; set splits.{split} of the procedural homes to at least 1"
+                f"split {split}: got 0 homes, expected at least 1; raise splits.{split} of the procedural homes"
             )
         return [f"{split}_{number:04d}" for number in range(self._counts[split])]
 
     def spare(self, count: int) -> list[str]:
-        """Names of homes furnished as training's whose numbers lie beyond all of training's."""
+        """Return the names of homes that are furnished as in training and have numbers above those of training."""
         check_range("procedural homes: spare homes", count, 1, MAX_SCENES, "homes")
         return [f"{SPARE}_{number:04d}" for number in range(count)]
 
@@ -102,7 +101,7 @@ class ProceduralHomes:
         """Build one home.
 
         Raises:
-            UserError: if there is no such home.
+            UserError: if the home does not exist.
         """
         split, number = self._parse(scene)
         return build_home(
@@ -110,7 +109,7 @@ class ProceduralHomes:
         )
 
     def fingerprint(self, scene: str) -> str:
-        """Changes with the seed, the home, the robot, the categories' labels, the furniture and the builders' code."""
+        """Return a hash of the seed, home, robot, category labels, furniture and code of the builders."""
         self._parse(scene)
         aliases = [(category.name, sorted(category.aliases.get(SOURCE, ()))) for category in self._categories]
         furniture = self._furniture.fingerprint()
@@ -118,23 +117,25 @@ class ProceduralHomes:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def credits(self) -> Sequence[Credit]:
-        """The models of furniture that others made."""
+        """Return the attributions of third-party furniture models."""
         return self._furniture.credits()
 
     def _parse(self, scene: str) -> tuple[Split, int]:
+        """Return the split whose furniture a home has and its number."""
         for split in SPLITS:
             if self._counts[split] and scene in self.scenes(split):
                 return split, int(scene.rsplit("_", 1)[1])
         if re.fullmatch(rf"{SPARE}_\d{{4}}", scene):
             return "train", MAX_SCENES + 1 + int(scene.rsplit("_", 1)[1])
-        have = ", ".join(f"{split}_0000 to {split}_{n - 1:04d}" for split, n in self._counts.items() if n)
-        raise UserError(f"scene: got {scene!r}, expected one of: {have or '(no homes are configured)'}")
+        available = ", ".join(
+            f"{split}_0000 to {split}_{n - 1:04d}" for split, n in self._counts.items() if n
+        )
+        raise UserError(f"scene: got {scene!r}, expected one of: {available or '(no homes are configured)'}")
 
 
 @cache
 def _code_version() -> str:
     """Hash of the code that homes come from, and of the library whose random numbers they use."""
-    digest = hashlib.sha256(np.__version__.encode())
-    for path in [*sorted(Path(__file__).parent.glob("*.py")), Path(free_space_module.__file__)]:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    scenes = Path(__file__).parents[1]
+    code = scenes / "procedural", scenes / "building_blocks", scenes / "free_space.py"
+    return code_hash(*code, versions=[np.__version__])

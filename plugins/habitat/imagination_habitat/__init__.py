@@ -1,1 +1,1 @@
-"""Scenes that habitat-sim renders."""
+"""Scenes rendered by habitat-sim."""

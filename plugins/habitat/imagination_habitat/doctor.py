@@ -1,4 +1,4 @@
-"""Whether habitat-sim is there and usable, found out in a process of its own: it may end the whole process."""
+"""Check of the installation of habitat-sim, in a separate process since habitat-sim may abort it."""
 
 import subprocess
 import sys
@@ -20,15 +20,15 @@ sensor.resolution = [8, 8]
 agent = habitat_sim.agent.AgentConfiguration()
 agent.sensor_specifications = [sensor]
 simulator = habitat_sim.Simulator(habitat_sim.Configuration(configuration, [agent]))
-assert simulator.get_sensor_observations()["depth"].shape == (8, 8), "it renders nothing"
+assert simulator.get_sensor_observations()["depth"].shape == (8, 8), "no image was rendered"
 simulator.close()
 print("usable", habitat_sim.__version__)
 """
-"""Makes a renderer, which needs a sensor, and looks once."""
+"""Program that renders one depth image."""
 
 
 def examine() -> Iterator[Finding]:
-    """One finding: usable, or what is wrong."""
+    """Yield one finding: usable, or the problem."""
     if find_spec("habitat_sim") is None:
         yield Finding(
             "habitat-sim",
@@ -37,11 +37,11 @@ def examine() -> Iterator[Finding]:
         )
         return
     done = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True, timeout=120)
-    words = done.stdout.split()
-    if done.returncode != 0 or "usable" not in words:
-        last = (done.stderr.strip().splitlines() or [f"it ended with code {done.returncode}"])[-1]
-        yield Finding("habitat-sim", False, f"installed, but it cannot render: {last}")
-    elif not words[-1].startswith(VERSION):
-        yield Finding("habitat-sim", False, f"version {words[-1]}, expected {VERSION}.x")
+    output = done.stdout.split()
+    if done.returncode != 0 or "usable" not in output:
+        last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        yield Finding("habitat-sim", False, f"installed, but cannot render: {last}")
+    elif not output[-1].startswith(VERSION):
+        yield Finding("habitat-sim", False, f"got version {output[-1]}, expected {VERSION}.x")
     else:
-        yield Finding("habitat-sim", True, f"version {words[-1]}, renders in software")
+        yield Finding("habitat-sim", True, f"version {output[-1]}, renders in software")

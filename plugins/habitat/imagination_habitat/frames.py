@@ -1,7 +1,7 @@
-"""Between Habitat's frames and ours, without the simulator.
+"""Conversion between the frames of Habitat and of this project; it needs no simulator.
 
-Habitat's world has y up, ours z: (x, y, z) there is (x, -z, y) here. Its camera looks along -z with y up, ours along
-z with y down.
+Habitat's world has y up, this project z: (x, y, z) of Habitat is (x, -z, y) here. Habitat's camera faces -z with y up,
+the optical frame here faces z with y down.
 """
 
 from collections.abc import Sequence
@@ -12,33 +12,33 @@ from jaxtyping import Bool, Float
 from imagination.geometry.grid import Grid
 from imagination.scenes.scene import OrientedBox
 
-TO_OURS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns Habitat's world into ours; its transpose turns ours into Habitat's."""
+FROM_HABITAT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Rotation from Habitat's world to ours; its transpose is the inverse."""
 FLIP = np.diag([1.0, -1.0, -1.0])
-"""Between the axes of the two cameras; its own inverse."""
+"""Rotation between the camera axes; equal to its inverse."""
 
 Quaternion = tuple[float, float, float, float]
-"""w, x, y, z."""
+"""Unit quaternion w, x, y, z."""
 
 
-def to_ours(points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Points of Habitat's world in ours, metres."""
-    return np.asarray(points @ TO_OURS.T)
+def from_habitat(points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Convert points of Habitat's world to ours, metres."""
+    return np.asarray(points @ FROM_HABITAT.T)
 
 
 def to_habitat(points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Points of our world in Habitat's, metres."""
-    return np.asarray(points @ TO_OURS)
+    """Convert points of our world to Habitat's, metres."""
+    return np.asarray(points @ FROM_HABITAT)
 
 
 def camera_state(camera_to_world: Float[np.ndarray, "4 4"]) -> tuple[Float[np.ndarray, "3"], Quaternion]:
-    """Place and rotation in Habitat's world of a camera whose pose in ours is known (optical frame to world)."""
-    rotation = TO_OURS.T @ camera_to_world[:3, :3] @ FLIP
+    """Convert a camera pose (optical frame to our world) to a position and rotation in Habitat's world."""
+    rotation = FROM_HABITAT.T @ camera_to_world[:3, :3] @ FLIP
     return to_habitat(camera_to_world[:3, 3]), quaternion(rotation)
 
 
 def quaternion(rotation: Float[np.ndarray, "3 3"]) -> Quaternion:
-    """A rotation as a unit quaternion with w >= 0, from the largest of its four components (Shepperd)."""
+    """Convert a rotation matrix to a unit quaternion with w >= 0 by Shepperd's method."""
     xx, yy, zz = np.diag(rotation)
     squares = np.array([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz])
     r = rotation
@@ -54,9 +54,9 @@ def quaternion(rotation: Float[np.ndarray, "3 3"]) -> Quaternion:
     return w, x, y, z
 
 
-def rotation_of(turn: Sequence[float]) -> Float[np.ndarray, "3 3"]:
-    """The matrix of a unit quaternion x, y, z, w, as Habitat's boxes have it."""
-    x, y, z, w = turn
+def rotation_matrix(rotation: Sequence[float]) -> Float[np.ndarray, "3 3"]:
+    """Convert a unit quaternion x, y, z, w, the order of Habitat's boxes, to a matrix."""
+    x, y, z, w = rotation
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -66,22 +66,24 @@ def rotation_of(turn: Sequence[float]) -> Float[np.ndarray, "3 3"]:
     )
 
 
-def upright(centre: Sequence[float], half_extents: Sequence[float], turn: Sequence[float]) -> OrientedBox:
-    """The upright box around one of Habitat's oriented boxes.
+def upright_box(
+    centre: Sequence[float], half_extents: Sequence[float], rotation: Sequence[float]
+) -> OrientedBox:
+    """Return the upright box around an oriented box of Habitat.
 
     Args:
-        centre, half_extents: in Habitat's world and in the box's own axes, metres.
-        turn: quaternion x, y, z, w from the box's axes to Habitat's world.
+        centre: centre in Habitat's world, metres.
+        half_extents: half sides along the axes of the box, metres.
+        rotation: quaternion x, y, z, w from the axes of the box to Habitat's world.
     """
-    axes = TO_OURS @ rotation_of(turn)  # columns: the box's axes in our world
-    # the axis that lies most level gives the yaw
-    lying = int(np.argmin(np.abs(axes[2])))
-    yaw = float(np.arctan2(axes[1, lying], axes[0, lying]))
+    axes = FROM_HABITAT @ rotation_matrix(rotation)  # columns: axes of the box in our world
+    horizontal = int(np.argmin(np.abs(axes[2])))
+    yaw = float(np.arctan2(axes[1, horizontal], axes[0, horizontal]))
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     offsets = (signs * np.asarray(half_extents)) @ axes.T
     along = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     reach = np.abs(offsets[:, :2] @ along).max(axis=0)
-    x, y, z = to_ours(np.asarray(centre, np.float64)).tolist()
+    x, y, z = from_habitat(np.asarray(centre, np.float64)).tolist()
     width, depth, height = (float(2 * value) for value in (*reach, np.abs(offsets[:, 2]).max()))
     return OrientedBox((x, y, z), (width, depth, height), yaw)
 
@@ -89,12 +91,14 @@ def upright(centre: Sequence[float], half_extents: Sequence[float], turn: Sequen
 def free_grid(
     view: Bool[np.ndarray, "h w"], lower: Sequence[float], metres_per_pixel: float
 ) -> tuple[Grid, Bool[np.ndarray, "h w"]]:
-    """Habitat's top-down view as our grid: its rows run along +z from `lower`, which is our -y; its columns along x.
+    """Convert Habitat's top-down view to a grid in our world.
+
+    Rows of the view run along Habitat's z (our -y) from `lower`, columns along x.
 
     Args:
-        view: True where the agent may be.
-        lower: the navmesh's lower bound x, y, z.
-        metres_per_pixel: side of a cell.
+        view: mask of the navigable cells.
+        lower: lower bound x, y, z of the navmesh, metres.
+        metres_per_pixel: side of a cell, metres.
     """
     rows, columns = view.shape
     origin = float(lower[0]), float(-(lower[2] + rows * metres_per_pixel))

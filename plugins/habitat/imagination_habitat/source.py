@@ -1,9 +1,9 @@
-"""The scene source of Habitat: scenes of a scene data set, rendered by habitat-sim."""
+"""Scene source of Habitat: scenes of a scene data set, rendered by habitat-sim."""
 
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,34 +14,35 @@ from imagination.geometry.camera import Camera
 from imagination.scenes.categories import CategoryTable
 from imagination.scenes.scene import FreeSpace, Lighting, Mesh, Scene, SceneObject
 from imagination.scenes.source import SPLITS, Split
+from imagination.utils.code_hash import code_hash
 from imagination.utils.errors import UserError, check_choice
 from imagination.views.pose_samplers import sample_poses
-from imagination_habitat.frames import free_grid, upright
+from imagination_habitat.frames import free_grid, upright_box
 from imagination_habitat.simulator import CELL_HEIGHT, SIMULATORS, HabitatRenderer, make_navmesh
 
 STOREY = 1.5
-"""Least height between two floors, metres."""
+"""Minimum height between two floors, metres."""
 CEILING = 2.6
-"""Above the floor; the simulator does not tell it."""
+"""Height of the ceiling above the floor, metres; the simulator has no value for it."""
 SAMPLES = 400
-"""Navigable points drawn to find the floors."""
-LOOKS = 16
-"""Images looked at for semantics before a scene counts as without."""
+"""Number of navigable points drawn to find the floors."""
+VIEWS = 16
+"""Number of views without semantics after which a scene is refused."""
 UNNAMED = ("", "unknown", "Unknown", "void", "unlabeled")
 
 
 class HabitatScenes:
-    """Scenes of one Habitat data set. Of several floors one is used: where most of the navmesh lies.
+    """Scenes of one Habitat data set; only the floor with the largest navmesh is used.
 
     Args:
-        dataset: a scene data set config (`.scene_dataset_config.json`); empty: scenes are files.
-        scenes: names of the scenes of each split, as the data set or the file system knows them.
-        names: for each category of the table, the data set's names that belong to it.
-        categories: the category table.
-        robot_radius: metres.
-        camera: that is used to look for semantics.
-        device: CUDA device; -1 renders in software, which is needed on machines without CUDA.
-        resolution: of the free space's grid, metres.
+        dataset: scene data set config (`.scene_dataset_config.json`); empty if scenes are files.
+        scenes: names of the scenes of each split in the data set, or paths.
+        names: labels of the data set for each category of the table.
+        categories: category table.
+        robot_radius: radius of the robot, metres.
+        camera: camera of the views in which semantics are checked.
+        device: CUDA device; -1 renders in software, which is required on machines without CUDA.
+        resolution: cell size of the free-space grid, metres.
 
     Raises:
         UserError: if a file does not exist or a split is unknown.
@@ -64,7 +65,7 @@ class HabitatScenes:
             check_choice("data.scenes.scenes", split, SPLITS)
         if dataset and not Path(dataset).is_file():
             raise UserError(
-                f"habitat: there is no scene data set config {dataset}, expected a file *.scene_dataset_config.json"
+                f"data.scenes.dataset: got {dataset}, which does not exist, expected a *.scene_dataset_config.json"
             )
         self._dataset, self._device = dataset, device
         self._scenes = {split: list(scenes.get(split, ())) for split in SPLITS}
@@ -75,37 +76,37 @@ class HabitatScenes:
             self._category_of |= dict.fromkeys(labels, category)
 
     def scenes(self, split: Split) -> list[str]:
-        """Names of a split's scenes."""
+        """Return the names of the scenes of a split."""
         check_choice("split", split, SPLITS)
         if not self._scenes[split]:
-            raise UserError(f"split {split}: has no scenes; list some in data.scenes.scenes.{split}")
+            raise UserError(f"data.scenes.scenes.{split}: got no scenes, expected at least one")
         return self._scenes[split]
 
     def load(self, scene: str) -> Scene:
         """Load a scene into the simulator.
 
         Raises:
-            UserError: if there is no such scene, it has no navigable floor, or its semantics are empty.
+            UserError: if the scene does not exist, has no navigable floor, or has empty semantics.
         """
         check_choice("scene", scene, [name for names in self._scenes.values() for name in names])
         simulator = SIMULATORS.show(self._dataset, scene, self._camera, self._device)
         make_navmesh(simulator, self._robot_radius, scene)
         level = navmesh_height(simulator.pathfinder)
-        floor = level - CELL_HEIGHT  # on which the navmesh lies
+        floor = level - CELL_HEIGHT  # the navmesh is one cell above the floor
         free = self._free_space(simulator.pathfinder, level, scene)
         objects, rows = self._objects(simulator, floor)
         if not objects:
             raise UserError(
-                f"habitat: scene {scene} names no object on the floor at {floor:.2f} m; its semantics are empty: "
-                "give the scene data set config that lists its semantic files"
+                f"habitat: scene {scene}: found no named object on the floor at {floor:.2f} m; set "
+                "data.scenes.dataset to the scene data set config that lists its semantic files"
             )
         renderer = HabitatRenderer(self._dataset, scene, self._device, rows)
-        found = Scene(scene, _nothing(), Lighting(), objects, free, floor, floor + CEILING, renderer)
-        self._check_semantics(found, renderer)
-        return found
+        loaded = Scene(scene, _empty_mesh(), Lighting(), objects, free, floor, floor + CEILING, renderer)
+        self._check_semantics(loaded, renderer)
+        return loaded
 
     def fingerprint(self, scene: str) -> str:
-        """Changes with the scene's name and files, the settings and this code; not with files that they refer to."""
+        """Return a hash of the scene's name and file, the settings and this code, but not of files referred to."""
         files = [
             (path, Path(path).stat().st_mtime_ns) for path in (self._dataset, scene) if Path(path).is_file()
         ]
@@ -117,19 +118,19 @@ class HabitatScenes:
         view = np.asarray(pathfinder.get_topdown_view(self._resolution, level), bool)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(view.astype(np.uint8), connectivity=4)
         if len(stats) == 1:
-            raise UserError(f"habitat: scene {scene} has no navigable floor at {level:.2f} m")
+            raise UserError(f"habitat: scene {scene}: found no navigable floor at {level:.2f} m")
         largest = labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
         return FreeSpace(*free_grid(largest, pathfinder.get_bounds()[0], self._resolution))
 
     def _objects(self, simulator: Any, floor: float) -> tuple[tuple[SceneObject, ...], dict[int, int]]:
-        """Named objects between floor and ceiling, and the instance of each semantic id."""
+        """Return the named objects between floor and ceiling, and the instance id of each semantic id."""
         objects: list[SceneObject] = []
         rows: dict[int, int] = {}
         for obj in simulator.semantic_scene.objects:
             if obj is None or obj.category is None or (name := obj.category.name()) in UNNAMED:
                 continue
-            # aabb wrongly reaches to the world's origin
-            box = upright(obj.obb.center, obj.obb.half_extents, _quaternion(obj.obb.rotation))
+            # obj.aabb is not used: it wrongly includes the origin of the world
+            box = upright_box(obj.obb.center, obj.obb.half_extents, _quaternion(obj.obb.rotation))
             if not floor - 0.5 <= box.centre[2] <= floor + CEILING + 0.5 or int(obj.semantic_id) == 0:
                 continue
             rows[int(obj.semantic_id)] = len(objects) + 1
@@ -138,23 +139,23 @@ class HabitatScenes:
         return tuple(objects), rows
 
     def _check_semantics(self, scene: Scene, renderer: HabitatRenderer) -> None:
-        """Refuse a scene whose semantic sensor sees nothing wherever one looks."""
+        """Check that the semantic sensor sees an object in at least one view."""
         rng = np.random.default_rng(0)
-        for pose in sample_poses(scene.free_space, LOOKS, rng):
+        for pose in sample_poses(scene.free_space, VIEWS, rng):
             image = renderer.render(self._camera, self._camera.to_world(pose, scene.floor_height))
             if (image.instance > 0).any():
                 return
         raise UserError(
-            f"habitat: the semantic sensor saw none of the {len(scene.objects)} objects of scene {scene.name} in "
-            f"{LOOKS} looks; its semantic mesh is missing or did not load"
+            f"habitat: scene {scene.name}: the semantic sensor saw none of {len(scene.objects)} objects in {VIEWS} "
+            "views; its semantic mesh is missing or did not load"
         )
 
 
 def navmesh_height(pathfinder: Any) -> float:
-    """The height on which most navigable points lie, metres, of floors a storey apart.
+    """Return the height of the floor with most navigable points, metres.
 
     Raises:
-        UserError: if the navmesh is not loaded; asking it would end the process.
+        UserError: if the navmesh is not loaded; a query would abort the process.
     """
     if not pathfinder.is_loaded:
         raise UserError("habitat: the scene has no navmesh")
@@ -165,13 +166,13 @@ def navmesh_height(pathfinder: Any) -> float:
 
 
 def _quaternion(rotation: Any) -> tuple[float, float, float, float]:
-    """x, y, z, w of Habitat's box rotation, which is an array in that order."""
+    """Return the rotation of a box of Habitat, an array x, y, z, w."""
     x, y, z, w = (float(value) for value in np.asarray(rotation).ravel())
     return x, y, z, w
 
 
-def _nothing() -> Mesh:
-    """No triangles: the simulator has them."""
+def _empty_mesh() -> Mesh:
+    """Return a mesh without triangles; the simulator renders its own."""
     return Mesh(
         np.zeros((0, 3), np.float32),
         np.zeros((0, 3), np.int32),
@@ -182,10 +183,7 @@ def _nothing() -> Mesh:
     )
 
 
-@lru_cache(maxsize=1)
+@cache
 def code_version() -> str:
-    """Hash of this plugin's code."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    """Return the hash of this plugin's code."""
+    return code_hash(Path(__file__).parent)

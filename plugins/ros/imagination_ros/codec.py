@@ -1,4 +1,4 @@
-"""Messages to bytes and back (CDR), with rosbags' type store; and the messages that maps become."""
+"""CDR coding of ROS 2 messages with rosbags' type store, and conversion of maps to messages."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,18 +13,18 @@ from imagination.utils.errors import UserError, check_choice, require_extra
 GRID, MARKERS = "nav_msgs/msg/OccupancyGrid", "visualization_msgs/msg/MarkerArray"
 
 LINE_STRIP, TEXT, ADD, DELETE_ALL = 4, 9, 0, 3
-"""Of visualization_msgs/Marker: types and actions."""
+"""Types and actions of visualization_msgs/Marker."""
 
 
 class Codec:
     """Encodes and decodes messages of one ROS 2 distribution.
 
     Args:
-        distribution: as rosbags names it, e.g. ros2_humble.
-        max_bytes: of a message.
+        distribution: name of the distribution in rosbags, e.g. ros2_humble.
+        max_bytes: largest size of a message, bytes.
 
     Raises:
-        UserError: if rosbags is not installed or knows no such distribution.
+        UserError: if rosbags is not installed or does not support the distribution.
     """
 
     def __init__(self, distribution: str, max_bytes: int) -> None:
@@ -36,24 +36,24 @@ class Codec:
         self.max_bytes = max_bytes
 
     def decode(self, data: bytes, kind: str) -> Any:
-        """A message from its bytes.
+        """Decode a message of type `kind`.
 
         Raises:
-            UserError: if it is too large or its bytes are no such message.
+            UserError: if the message is too large or its bytes are invalid.
         """
         if len(data) > self.max_bytes:
             raise UserError(f"{kind}: got {len(data)} bytes, expected at most {self.max_bytes}")
         try:
             return self._store.deserialize_cdr(data, kind)
-        except Exception as error:  # bytes from anywhere make the decoder raise anything
-            raise UserError(f"{kind}: got {len(data)} bytes that are no such message ({error!r})") from error
+        except Exception as error:  # the decoder raises many types on invalid bytes
+            raise UserError(f"{kind}: got {len(data)} bytes that cannot be decoded ({error!r})") from error
 
     def encode(self, message: Any, kind: str) -> bytes:
-        """Bytes of a message."""
+        """Encode a message of type `kind`."""
         return bytes(self._store.serialize_cdr(message, kind))
 
     def occupancy_grid(self, layer: Layer, grid: Grid, frame: str, stamp: int) -> Any:
-        """A layer as nav_msgs/OccupancyGrid, whose first row is the lowest."""
+        """Convert a layer to nav_msgs/OccupancyGrid, whose first row is the lowest."""
         x, y = grid.origin
         info = self._make(
             "nav_msgs/MapMetaData",
@@ -69,18 +69,18 @@ class Codec:
     def markers(
         self, objects: Sequence[MapObject], colours: dict[str, tuple[int, int, int]], frame: str, stamp: int
     ) -> Any:
-        """Objects as visualization_msgs/MarkerArray: the outline of each, and its category with the confidence."""
+        """Convert objects to visualization_msgs/MarkerArray: outline, and category with confidence, of each object."""
         markers = [self._marker(stamp, frame, "", 0, DELETE_ALL, (0, 0, 0))]
-        for number, found in enumerate(objects):
-            colour = colours[found.category]
-            outline = self._marker(stamp, frame, found.category, number, ADD, colour)
-            corners = [*found.outline.tolist(), found.outline[0].tolist()]
+        for number, obj in enumerate(objects):
+            colour = colours[obj.category]
+            outline = self._marker(stamp, frame, obj.category, number, ADD, colour)
+            corners = [*obj.outline.tolist(), obj.outline[0].tolist()]
             outline.type, outline.scale.x = LINE_STRIP, 0.03
             outline.points = [self._make("geometry_msgs/Point", x=x, y=y, z=0.0) for x, y in corners]
-            text = self._marker(stamp, frame, f"{found.category} text", number, ADD, colour)
+            text = self._marker(stamp, frame, f"{obj.category} text", number, ADD, colour)
             text.type, text.scale.z = TEXT, 0.2
-            text.text = f"{found.category} {found.confidence:.2f}"
-            text.pose = self._pose(*found.centre, 0.3)
+            text.text = f"{obj.category} {obj.confidence:.2f}"
+            text.pose = self._pose(*obj.centre, 0.3)
             markers += [outline, text]
         return self._make("visualization_msgs/MarkerArray", markers=markers)
 
@@ -107,11 +107,11 @@ class Codec:
         }
         fields = self._store.types["visualization_msgs/msg/Marker"].__dataclass_fields__
         if "texture_resource" in fields:  # since Humble
-            nothing = np.zeros(0, np.uint8)
+            empty = np.zeros(0, np.uint8)
             image = self._make(
-                "sensor_msgs/CompressedImage", header=self._header(0, ""), format="", data=nothing
+                "sensor_msgs/CompressedImage", header=self._header(0, ""), format="", data=empty
             )
-            mesh = self._make("visualization_msgs/MeshFile", filename="", data=nothing)
+            mesh = self._make("visualization_msgs/MeshFile", filename="", data=empty)
             values |= {"texture_resource": "", "texture": image, "uv_coordinates": [], "mesh_file": mesh}
         return self._make("visualization_msgs/Marker", **values)
 

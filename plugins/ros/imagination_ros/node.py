@@ -1,6 +1,6 @@
-"""The mapping node: messages in, maps out. It knows no transport: what brings and carries messages is given to it.
+"""Mapping node: maps the frames of ROS messages and publishes the map, independent of the transport.
 
-Frames that come faster than they are mapped are dropped, the latest wins. Bad messages are refused one by one.
+Frames that arrive faster than they are mapped are dropped, except the latest. Invalid messages are refused one by one.
 """
 
 import logging
@@ -35,19 +35,19 @@ log = logging.getLogger(__name__)
 MakeMapper = Callable[[RgbdCamera], SemanticMapper]
 
 HISTORY = 30.0
-"""Seconds of transforms that are kept."""
+"""History of transforms, seconds."""
 
 MAX_PENDING = 32
-"""Frames that wait for their pose: those of a second at the usual rates."""
+"""Largest number of frames that wait for their pose: about one second at common frame rates."""
 
 
 class Pending(NamedTuple):
-    """A pair of images that waits for its pose.
+    """Pair of images that waits for its pose.
 
     Attributes:
-        stamp: of the colour image.
-        arrived: seconds of a steady clock.
-        colour, depth: messages.
+        stamp: time stamp of the colour image.
+        arrived: time of arrival on the monotonic clock, seconds.
+        colour, depth: messages of the images.
     """
 
     stamp: int
@@ -57,28 +57,27 @@ class Pending(NamedTuple):
 
 
 class MappingNode:
-    """Collects what belongs to a frame, maps the latest, tells of the map.
+    """Assembles frames from messages, maps the latest frame and publishes the map.
 
     Args:
-        make_mapper: makes the mapper once the camera is known.
-        publish: sends a message: name in our namespace, type, message.
-        codec: makes messages.
+        make_mapper: function that makes the mapper once the camera is known.
+        publish: function that sends a message: name in the namespace, type, message.
+        codec: codec of the messages.
         world: frame of the map.
         mount: frame of the robot, height (metres), pitch and roll (degrees) of the camera on it; from tf if None.
-        depth_scale: units a metre of 16-bit depth.
-        max_difference: seconds between a colour and a depth image.
-        max_gap: seconds between two transforms over which none is interpolated.
-        max_speed: metres a second at which the camera may move; None: any. See `Jumps`.
-        rectified: whether `colour` and `depth` images are; not if None.
-        patience: seconds that an image waits for its pose.
-        period: seconds between two publications.
+        depth_scale: units per metre of 16-bit depth.
+        max_difference: largest time difference of a colour and a depth image, seconds.
+        max_gap: largest gap between two transforms that is interpolated, seconds.
+        rectified: whether `colour` and `depth` images are rectified; False for both if None.
+        patience: time that an image waits for its pose, seconds.
+        period: time between two publications, seconds.
 
     Raises:
-        UserError: if the mount is none.
+        UserError: if the mount is invalid.
 
     Attributes:
-        counts: frames mapped, dropped and refused, by the reason.
-        mapper: None until a frame has a pose.
+        counts: number of mapped, dropped and refused frames by reason.
+        mapper: semantic mapper; None until the first frame has a pose.
     """
 
     def __init__(
@@ -91,7 +90,6 @@ class MappingNode:
         depth_scale: float = 1000.0,
         max_difference: float = 0.02,
         max_gap: float = 0.5,
-        max_speed: float | None = None,
         rectified: Mapping[str, bool] | None = None,
         patience: float = 1.0,
         period: float = 1.0,
@@ -103,22 +101,22 @@ class MappingNode:
         self.patience, self.period = patience, period
         self.counts: Counter[str] = Counter()
         self.mapper: SemanticMapper | None = None
-        self._changed = threading.Condition()  # guards all below
+        self._changed = threading.Condition()  # guards the attributes below
         self._pairing: Pairing[Any] = Pairing(max_difference)
         self._transforms = Transforms(max_gap, HISTORY)
         self._intrinsics: dict[str, tuple[Intrinsics, str]] = {}
         self._pending: deque[Pending] = deque()
-        self._jumps = Jumps(max_speed)
+        self._jumps = Jumps()
         self._outside = 0
-        self._untold: int | None = None  # time of the newest frame that was mapped and not published
+        self._unpublished: int | None = None  # time of the newest mapped frame that was not published
         self._last, self._published = -1, -np.inf
 
     def receive(self, role: str, message: Any) -> None:
-        """Take a message in; of any thread.
+        """Process a message; may be called from any thread.
 
         Args:
             role: colour, depth, colour_info, depth_info, tf, tf_static or odometry.
-            message: with fields, or the UserError that kept it from being decoded.
+            message: decoded message, or the UserError of its decoding.
         """
         with self._changed:
             try:
@@ -130,23 +128,23 @@ class MappingNode:
             self._changed.notify()
 
     def step(self, timeout: float) -> bool:
-        """Map the latest frame that has a pose, waiting for one; whether there was one."""
+        """Wait for a frame with a pose, map the latest one, and return whether a frame was mapped."""
         with self._changed:
             frame = self._next() or (self._changed.wait(timeout) and self._next()) or None
         mapped = frame is not None and self._mapped(*frame)
         if time.monotonic() - self._published >= self.period:
-            self.tell_rest()
+            self.publish_pending()
         return mapped
 
-    def tell_rest(self) -> None:
-        """Publish the map if a frame was mapped since it was published."""
-        if (stamp := self._untold) is not None:
-            self._untold = None
-            self._try("publication", lambda: self.tell(stamp))
+    def publish_pending(self) -> None:
+        """Publish the map if a frame was mapped since the last publication."""
+        if (stamp := self._unpublished) is not None:
+            self._unpublished = None
+            self._try("publication", lambda: self.publish_map(stamp))
 
-    def tell(self, stamp: int) -> None:
-        """Publish the map as it is."""
-        assert self.mapper is not None, "there is a map"
+    def publish_map(self, stamp: int) -> None:
+        """Publish the current map."""
+        assert self.mapper is not None, "called after the first mapped frame"
         self._published = time.monotonic()
         maps = self.mapper.maps
         layers = {"occupancy": maps.occupancy_layer()}
@@ -159,26 +157,24 @@ class MappingNode:
         self.publish("objects", MARKERS, self.codec.markers(objects, colours, maps.frame, stamp))
 
     def summary(self) -> str:
-        """What was mapped, dropped and refused."""
+        """Summarize the mapped, dropped and refused frames."""
         with self._changed:
             counts = self.counts.copy()
-            counts[f"image without a partner within {self.max_difference} s"] += self._pairing.alone
+            counts[f"image without a partner within {self.max_difference} s"] += self._pairing.unpaired
             counts["waiting for its pose at the end"] += len(self._pending)
         lines = [f"{counts.pop('mapped', 0)} frames mapped"]
-        lines += [f"    {count} x {what}" for what, count in counts.most_common() if count]
+        lines += [f"    {count} x {reason}" for reason, count in counts.most_common() if count]
         if self._outside:
             lines.append(f"    {self._outside} cells outside the map of fixed size are lost")
         return "\n".join(lines)
 
-    def _try(self, what: str, work: Callable[[], None]) -> bool:
-        """Do something for one frame; whether it succeeded."""
+    def _try(self, step: str, function: Callable[[], None]) -> bool:
+        """Run one step of a frame and return whether it succeeded; errors are counted and logged."""
         try:
-            work()
-        except (
-            Exception
-        ) as error:  # OpenCV, onnxruntime, memory, the network: one frame must not end the service
+            function()
+        except Exception as error:  # e.g. of OpenCV or the network: one frame must not end the service
             with self._changed:
-                self._refuse(what, error)
+                self._refuse(step, error)
             return False
         return True
 
@@ -189,7 +185,7 @@ class MappingNode:
             return False
         with self._changed:
             self.counts["mapped"] += 1
-        self._untold = pending.stamp
+        self._unpublished = pending.stamp
         return True
 
     def _map(self, pending: Pending, pose: np.ndarray) -> None:
@@ -199,7 +195,7 @@ class MappingNode:
         outside = self.mapper.update(rgb, depth, pose).outside
         if outside and not self._outside:
             log.warning(
-                "Cells lie outside the map of fixed size and are lost; enlarge or move it (extent, centre)"
+                "Cells outside the map of fixed size are lost; enlarge or move the map (extent, centre)"
             )
         self._outside += outside
 
@@ -216,7 +212,7 @@ class MappingNode:
             for stamp, colour, depth in self._pairing.add(role, stamp_of(message), message):
                 self._pending.append(Pending(stamp, time.monotonic(), colour, depth))
                 if len(self._pending) > MAX_PENDING:
-                    del self._pending[1]  # not the oldest: its pose comes first
+                    del self._pending[1]  # not the oldest, whose pose arrives first
                     self.counts["dropped: a later frame came"] += 1
 
     def _take_transform(self, role: str, entry: Any, transform: Any) -> None:
@@ -228,13 +224,13 @@ class MappingNode:
             self._refuse(role, error)
 
     def _next(self) -> tuple[Pending, np.ndarray] | None:
-        """The latest frame that has a pose; those before it are dropped, those after it wait for theirs."""
+        """Return the latest frame that has a pose and drop the earlier ones; later frames keep waiting for theirs."""
         while self._pending and time.monotonic() - self._pending[0].arrived > self.patience:
             pose = self._pose(self._pending[0].stamp)
             if not isinstance(pose, str):
                 break
             self._pending.popleft()
-            self._leave_out(pose, pose)
+            self._skip(pose, pose)
         for index in range(len(self._pending) - 1, -1, -1):
             pending = self._pending[index]
             pose = self._pose(pending.stamp)
@@ -243,13 +239,13 @@ class MappingNode:
             for _ in range(index + 1):
                 self._pending.popleft()
             if index:
-                self.counts["dropped: a later frame came"] += index
+                self.counts["dropped for a later frame"] += index
             if self._last - JUMP * SECOND <= pending.stamp <= self._last:
                 self.counts["time stamp repeated or out of order"] += 1
                 return None
-            if pending.stamp < self._last:  # a bag is played again, or a simulation was reset
+            if pending.stamp < self._last:  # a bag was restarted or a simulation was reset
                 log.warning(
-                    "The clock went back by %.1f s; mapping goes on", (self._last - pending.stamp) / SECOND
+                    "The clock went back by %.1f s; mapping continues", (self._last - pending.stamp) / SECOND
                 )
                 self.counts["jump back of the clock"] += 1
             self._last = pending.stamp
@@ -257,13 +253,13 @@ class MappingNode:
         return None
 
     def _pose(self, stamp: int) -> np.ndarray | str:
-        """Of the colour camera in the world; if something is missing, what."""
+        """Return the pose of the colour camera in the world, or the reason why it is unknown."""
         for kind in ("colour", "depth"):
             if kind not in self._intrinsics:
                 return f"no camera_info of {kind}"
         frame, mount = self._intrinsics["colour"][1].lstrip("/"), np.eye(4)
         if self.mount is not None and self.mount[0].lstrip("/") not in self._transforms.ancestors(frame)[1:]:
-            frame, mount = self.mount  # where tf does not say it
+            frame, mount = self.mount  # tf does not contain the position on the robot
         if self.world.lstrip("/") not in self._transforms.ancestors(frame):
             return f"no transforms from {frame!r} to {self.world!r}"
         pose = self._transforms.at(self.world, frame, stamp)
@@ -272,24 +268,26 @@ class MappingNode:
     def _camera(self) -> RgbdCamera:
         with self._changed:
             (colour, frame), (depth, depth_frame) = self._intrinsics["colour"], self._intrinsics["depth"]
-            between = self._transforms.between(depth_frame, frame) if depth_frame != frame else np.eye(4)
-        return RgbdCamera(colour, depth if depth != colour else None, between)
+            depth_to_colour = (
+                self._transforms.between(depth_frame, frame) if depth_frame != frame else np.eye(4)
+            )
+        return RgbdCamera(colour, depth if depth != colour else None, depth_to_colour)
 
     def _refuse(self, role: str, error: Exception) -> None:
-        self._leave_out(f"refused: {role}", f"{role}: {error or repr(error)}")
+        self._skip(f"refused: {role}", f"{role}: {error or repr(error)}")
 
-    def _leave_out(self, what: str, told: str) -> None:
-        self.counts[what] += 1
-        if self.counts[what] == 1:
-            log.warning("%s (told once, counted from now on)", told)
+    def _skip(self, reason: str, message: str) -> None:
+        self.counts[reason] += 1
+        if self.counts[reason] == 1:
+            log.warning("%s (logged once, counted from now on)", message)
 
 
 def topics_of(categories: Sequence[str]) -> list[str]:
-    """Names that ROS allows, one for each category: no dash, no digit first, no two underscores in a row."""
-    found: list[str] = []
+    """Return a valid ROS name for each category: no dash, no leading digit, no repeated underscore."""
+    topics: list[str] = []
     for category in categories:
         topic = re.sub("[-_]+", "_", category if category[0].isalpha() else f"category_{category}")
-        while topic in found:
+        while topic in topics:
             topic += "2"
-        found.append(topic)
-    return found
+        topics.append(topic)
+    return topics

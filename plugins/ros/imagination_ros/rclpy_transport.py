@@ -1,4 +1,4 @@
-"""A ROS 2 node through rclpy, where ROS 2 is installed and sourced."""
+"""Transport over rclpy, where ROS 2 is installed and sourced."""
 
 import importlib
 import logging
@@ -13,19 +13,19 @@ from imagination_ros.codec import Codec
 log = logging.getLogger(__name__)
 
 LOOPBACK = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOCALHOST_ONLY": "1"}
-"""What keeps ROS 2 to this machine: since Iron, and before."""
+"""Environment variables that restrict ROS 2 to this machine: since Iron, and before."""
 
 
 class RclpyTransport:
-    """An rclpy node; see `imagination_ros.server.Transport`.
+    """Transport over an rclpy node; see `imagination_ros.server.Transport`.
 
-    Messages that come are rclpy's own, whose fields have the names that the node reads. What goes out is encoded by
-    the codec and decoded again by rclpy. It speaks within this machine, unless the environment says otherwise: one of
-    the variables of `LOOPBACK` is set.
+    Incoming messages are those of rclpy, whose fields have the names that the mapping node reads. Outgoing messages are
+    encoded by the codec and decoded by rclpy. Communication is restricted to this machine unless one of the variables
+    of `LOOPBACK` is set.
 
     Args:
-        distribution: ROS 2 distribution that is installed.
-        max_bytes: of a message.
+        distribution: installed ROS 2 distribution.
+        max_bytes: largest size of a message, bytes.
 
     Raises:
         UserError: if rclpy or rosbags is not installed.
@@ -36,7 +36,7 @@ class RclpyTransport:
             self._rclpy: Any = importlib.import_module("rclpy")
         except ImportError as error:
             raise UserError(
-                "rclpy: is not there; install ROS 2 and source its setup.bash, or use server=zenoh"
+                "rclpy: is not installed; install ROS 2 and source its setup.bash, or use server=zenoh"
             ) from error
         self.codec = Codec(distribution, max_bytes)
         self._publishers: dict[str, Any] = {}
@@ -44,8 +44,8 @@ class RclpyTransport:
     def open(self) -> None:
         if not os.environ.keys() & LOOPBACK:
             os.environ |= LOOPBACK
-            log.info("ROS 2 within this machine alone; to reach others: export ROS_LOCALHOST_ONLY=0")
-        # Ctrl-C is the server's: the map is saved first
+            log.info("ROS 2 is restricted to this machine; for other machines: export ROS_LOCALHOST_ONLY=0")
+        # the server handles Ctrl-C to save the map first
         options = importlib.import_module("rclpy.signals").SignalHandlerOptions
         self._rclpy.init(signal_handler_options=options.NO)
         self._node = self._rclpy.create_node("imagination")
@@ -64,9 +64,7 @@ class RclpyTransport:
 
     def publish(self, topic: str, kind: str, message: Any) -> None:
         if topic not in self._publishers:
-            quality = self._quality(
-                latched=True, reliable=True, depth=1
-            )  # those who come later get the last one
+            quality = self._quality(latched=True, reliable=True, depth=1)
             self._publishers[topic] = self._node.create_publisher(_type(kind), topic, quality)
         decode = importlib.import_module("rclpy.serialization").deserialize_message
         self._publishers[topic].publish(decode(self.codec.encode(message, kind), _type(kind)))
@@ -76,7 +74,7 @@ class RclpyTransport:
         self._spinning.join(timeout=5)
 
     def _quality(self, latched: bool, reliable: bool, depth: int) -> Any:
-        """Quality of service: the last message for those who come later, or only what is current."""
+        """Return the quality of service: latched (transient local) or volatile, reliable or best effort."""
         qos = importlib.import_module("rclpy.qos")
         return qos.QoSProfile(
             depth=depth,
@@ -86,6 +84,6 @@ class RclpyTransport:
 
 
 def _type(kind: str) -> Any:
-    """The class of a message type, e.g. nav_msgs/msg/OccupancyGrid."""
+    """Return the class of a message type, e.g. nav_msgs/msg/OccupancyGrid."""
     package, _, name = kind.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)

@@ -1,4 +1,4 @@
-"""The node and a transport joined: what it subscribes to, what it publishes, and how it ends."""
+"""Server that connects the mapping node to a transport: subscriptions, publications and shutdown."""
 
 import logging
 import signal
@@ -22,10 +22,10 @@ log = logging.getLogger(__name__)
 
 
 class Transport(Protocol):
-    """Carries messages between the node and everybody else.
+    """Carries messages between the mapping node and other nodes.
 
     Attributes:
-        codec: of its messages.
+        codec: codec of the messages.
     """
 
     codec: Codec
@@ -34,35 +34,35 @@ class Transport(Protocol):
         """Connect.
 
         Raises:
-            UserError: if what it needs is not installed, or it cannot listen or connect.
+            UserError: if a package is not installed, or the transport cannot listen or connect.
         """
 
     def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
-        """Have `receive` called with each message; with those of the past too if `latched`.
+        """Call `receive` with each decoded message, including past ones if `latched`.
 
-        What it is called with is a message with fields; it may be called from any thread and raises nothing. Messages
-        that cannot be decoded are handed on as the UserError that says why.
+        `receive` may be called from any thread and raises no errors. A message that cannot be decoded is passed as a
+        UserError.
         """
 
     def publish(self, topic: str, kind: str, message: Any) -> None:
-        """Send a message; those who come later get the last one."""
+        """Send a message on a latched topic (transient local)."""
 
     def close(self) -> None:
         """Disconnect."""
 
 
 class RosServer:
-    """Serves a robot through a transport; see `MappingNode` for what is not here.
+    """Maps a robot's messages of a transport; see `MappingNode` for the other arguments.
 
     Args:
-        transport: carries the messages.
+        transport: transport of the messages.
         topics: names of colour, depth, colour_info, depth_info, and odometry (None: /tf).
         compressed: whether `colour` and `depth` are CompressedImage.
-        rectified: whether images are; see `is_rectified`.
-        publish: namespace of what is published.
+        rectified: whether images are rectified; see `is_rectified`.
+        publish: namespace of the published topics.
 
     Raises:
-        UserError: on a value out of range.
+        UserError: if a value is out of range.
     """
 
     def __init__(
@@ -78,14 +78,13 @@ class RosServer:
         depth_scale: float,
         max_difference: float,
         max_gap: float,
-        max_speed: float | None,
         patience: float,
     ) -> None:
         check_range("server.period", period, 0.01, 3600.0, "s")
         check_range("server.patience", patience, 0.0, 60.0, "s")
         check_range("server.max_difference", max_difference, 0.0, 10.0, "s")
         check_range("server.max_gap", max_gap, 0.0, 60.0, "s")
-        check_range("server.depth_scale", depth_scale, 1.0, 1e6, "units a metre")
+        check_range("server.depth_scale", depth_scale, 1.0, 1e6, "units per metre")
         self.transport, self.topics, self.compressed, self.namespace = (
             transport,
             dict(topics),
@@ -98,16 +97,15 @@ class RosServer:
             "depth_scale": depth_scale,
             "max_difference": max_difference,
             "max_gap": max_gap,
-            "max_speed": max_speed,
             "rectified": {kind: is_rectified(str(topics[kind]), rectified) for kind in ("colour", "depth")},
             "patience": patience,
             "period": period,
         }
 
     def serve(self, make_mapper: MakeMapper) -> None:
-        """See `imagination.serve.Server`; ends on Ctrl-C and on SIGTERM."""
+        """Map until Ctrl-C or SIGTERM; see `imagination.serve.Server`."""
         stop = threading.Event()
-        before = {
+        handlers = {
             number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)
         }
         self.transport.open()
@@ -119,27 +117,27 @@ class RosServer:
                     node.receive(role, message)
 
                 self.transport.subscribe(topic, kind, role == "tf_static", receive)
-            log.info("Listening; Ctrl-C ends and saves the map")
+            log.info("Listening; press Ctrl-C to stop and save the map")
             while not stop.is_set():
                 node.step(timeout=0.1)
-            node.tell_rest()
+            node.publish_pending()
         finally:
             self.transport.close()
-            for number, handler in before.items():
+            for number, handler in handlers.items():
                 signal.signal(number, handler)
             log.info("%s", node.summary())
 
     def _subscriptions(self) -> list[tuple[str, str, str]]:
-        """Role, topic and type of each."""
+        """Return role, topic and message type of each subscription."""
         kinds = {kind: COMPRESSED if self.compressed[kind] else IMAGE for kind in ("colour", "depth")}
         kinds |= {"colour_info": CAMERA_INFO, "depth_info": CAMERA_INFO}
-        found = [(role, str(self.topics[role]), kind) for role, kind in kinds.items()]
-        found.append(("tf_static", "/tf_static", TRANSFORMS))
+        subscriptions = [(role, str(self.topics[role]), kind) for role, kind in kinds.items()]
+        subscriptions.append(("tf_static", "/tf_static", TRANSFORMS))
         if self.topics.get("odometry"):
-            found.append(("odometry", str(self.topics["odometry"]), ODOMETRY))
+            subscriptions.append(("odometry", str(self.topics["odometry"]), ODOMETRY))
         else:
-            found.append(("tf", "/tf", TRANSFORMS))
-        return found
+            subscriptions.append(("tf", "/tf", TRANSFORMS))
+        return subscriptions
 
     def _publish(self, name: str, kind: str, message: Any) -> None:
         self.transport.publish(f"/{self.namespace.strip('/')}/{name}", kind, message)

@@ -1,6 +1,6 @@
-"""ROS 2 messages over Zenoh: a topic's name without its first slash is the key, the payload is CDR.
+"""Transport of ROS 2 messages over Zenoh: the key is the topic name without the leading slash, the payload is CDR.
 
-So zenoh-bridge-ros2dds carries them (eclipse-zenoh/zenoh-plugin-ros2dds); latched topics come with Zenoh's history.
+This is the convention of zenoh-bridge-ros2dds (eclipse-zenoh/zenoh-plugin-ros2dds); latched topics use Zenoh's history.
 """
 
 import json
@@ -11,16 +11,16 @@ from imagination.utils.errors import UserError, check_range, require_extra
 from imagination_ros.codec import Codec
 
 HEADROOM = 4
-"""Times `max_bytes`: beyond, Zenoh drops what comes over the network unassembled and untold; up to there, we tell."""
+"""Factor of `max_bytes` beyond which Zenoh drops messages silently; smaller messages are refused with an error."""
 
 
 class ZenohTransport:
-    """A Zenoh session; see `imagination_ros.server.Transport`.
+    """Transport over a Zenoh session; see `imagination_ros.server.Transport`.
 
     Args:
-        distribution: ROS 2 distribution whose messages are spoken.
-        listen, connect: Zenoh endpoints, e.g. tcp/127.0.0.1:7447. Nothing else is looked for.
-        max_bytes: of a message.
+        distribution: ROS 2 distribution of the messages.
+        listen, connect: Zenoh endpoints, e.g. tcp/127.0.0.1:7447; scouting is off.
+        max_bytes: largest size of a message, bytes.
 
     Raises:
         UserError: if eclipse-zenoh or rosbags is not installed, or max_bytes is out of range.
@@ -34,8 +34,8 @@ class ZenohTransport:
         import zenoh.ext
 
         self._zenoh: Any = zenoh
-        most = int(check_range("server.transport.max_bytes", max_bytes, 1, 2**30, "bytes"))
-        self.codec = Codec(distribution, most)
+        max_bytes = int(check_range("server.transport.max_bytes", max_bytes, 1, 2**30, "bytes"))
+        self.codec = Codec(distribution, max_bytes)
         self.listen, self.connect = listen, connect
         self._publishers: dict[str, Any] = {}
         self._subscribers: list[Any] = []
@@ -46,11 +46,11 @@ class ZenohTransport:
             "mode": "peer",
             "listen/endpoints": self.listen,
             "connect/endpoints": self.connect,
-            "connect/timeout_ms": -1,  # go on trying: the robot may start later
+            "connect/timeout_ms": -1,  # retry without limit: the robot may start later
             "connect/exit_on_failure": False,
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
-            "timestamping/enabled": True,  # history needs it
+            "timestamping/enabled": True,  # needed for history
             "transport/link/rx/max_message_size": HEADROOM * self.codec.max_bytes,
         }
         try:
@@ -59,14 +59,14 @@ class ZenohTransport:
             self._session = self._zenoh.open(config)
         except self._zenoh.ZError as error:
             raise UserError(
-                f"zenoh: cannot listen on {self.listen} and connect to {self.connect} ({error}); choose other lists of "
+                f"zenoh: cannot listen on {self.listen} and connect to {self.connect} ({error}); use other lists of "
                 "endpoints (server.transport.listen, server.transport.connect), such as [tcp/127.0.0.1:7447]"
             ) from error
 
     def subscribe(self, topic: str, kind: str, latched: bool, receive: Callable[[Any], None]) -> None:
         def handle(sample: Any) -> None:
             try:
-                size = len(sample.payload)  # before it is copied
+                size = len(sample.payload)  # checked before the payload is copied
                 if size > self.codec.max_bytes:
                     raise UserError(f"{kind}: got {size} bytes, expected at most {self.codec.max_bytes}")
                 message = self.codec.decode(sample.payload.to_bytes(), kind)

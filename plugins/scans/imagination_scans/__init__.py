@@ -1,1 +1,1 @@
-"""Scanned buildings: Matterport3D, HM3D, Replica and what scenezoo reads, each floor a scene."""
+"""Scanned buildings of Matterport3D, HM3D, Replica and the data sets of scenezoo; each floor is a scene."""

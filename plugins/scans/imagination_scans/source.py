@@ -1,10 +1,10 @@
-"""The scene source of scanned buildings: each floor of each building is a scene."""
+"""Scene source of scanned buildings: each floor of each building is a scene."""
 
 import hashlib
 import json
 import logging
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -15,32 +15,41 @@ from imagination.scenes.free_space import free_space
 from imagination.scenes.scene import Lighting, Scene, SceneObject
 from imagination.scenes.source import SPLITS, Credit, Split
 from imagination.utils.cache import Cache
+from imagination.utils.code_hash import code_hash
 from imagination.utils.errors import UserError, check_choice
-from imagination_scans.building import Building, Floor, ScannedObject, cut, floors_of, mesh_of, upright_box
+from imagination_scans.building import (
+    Building,
+    Floor,
+    ScannedObject,
+    crop_to_floor,
+    floors_of,
+    mesh_of,
+    upright_box,
+)
 from imagination_scans.layouts import Layout
 
 log = logging.getLogger(__name__)
 
 BRIGHT = Lighting((1.0, 1.0, 1.0))
-"""Scans carry the light of the day they were taken."""
+"""Uniform lighting; the colours of scans include shading."""
 
 
 class ScannedBuildings:
     """Floors of the buildings of one data set.
 
     Args:
-        layout: how the data set lies on disk.
-        folder: that the user downloaded; nobody else can say which.
-        names: for each category of the table, the data set's names that belong to it.
-        categories: the category table.
-        robot_radius: metres.
-        clearance: heights above the floor between which the robot touches things, metres; scanned floors are uneven.
-        largest: side of the global map, metres; floors that do not fit in it are left out with a message.
-        cache: keeps what was found out about buildings.
-        licence: under which the data set is used.
+        layout: layout of the data set on disk.
+        folder: folder of the data set.
+        names: labels of the data set for each category of the table.
+        categories: category table.
+        robot_radius: radius of the robot, metres.
+        clearance: heights above the floor in which the robot can collide, metres; scanned floors are uneven.
+        largest: side of the global map, metres; floors that do not fit in it are skipped with a message.
+        cache: cache of the floors of buildings.
+        licence: licence of the data set.
 
     Raises:
-        UserError: if the folder does not exist or holds another kind of data.
+        UserError: if the folder does not exist or has another layout.
     """
 
     def __init__(
@@ -57,7 +66,7 @@ class ScannedBuildings:
     ) -> None:
         self.name = layout.name
         if not folder:
-            raise UserError(f"data.scenes.folder: got none, expected one with {layout.expected}")
+            raise UserError(f"data.scenes.folder: got null, expected a folder with {layout.expected}")
         self._layout, self._folder, self._cache = layout, Path(folder), cache
         self._robot_radius, self._clearance, self._largest = robot_radius, tuple(clearance), largest
         self._licence = licence
@@ -67,47 +76,48 @@ class ScannedBuildings:
             self._category_of |= dict.fromkeys(labels, category)
         if not self._folder.is_dir():
             raise UserError(
-                f"{self.name}: there is no folder {self._folder.resolve()}; set data.scenes.folder to one with "
+                f"data.scenes.folder: got {self._folder.resolve()}, which does not exist, expected a folder with "
                 f"{layout.expected}"
             )
         self._buildings = layout.buildings(self._folder)
         self._split_of = layout.splits(self._folder, list(self._buildings))
 
     def scenes(self, split: Split) -> list[str]:
-        """Floors of a split's buildings that can be scenes and fit into the map; the others are told.
+        """Return the usable floors of the buildings of a split; others are logged.
 
-        Looks into each building once, then into the cache.
+        Each building is read once; later calls read the cache.
         """
         check_choice("split", split, SPLITS)
-        chosen = [name for name in self._buildings if self._split_of.get(name) == split]
-        names = [f"{name}_{floor}" for name in chosen for floor in self._usable(name)]
+        selected = [name for name in self._buildings if self._split_of.get(name) == split]
+        names = [f"{name}_{floor}" for name in selected for floor in self._usable(name)]
         if not names:
-            without = sum(name not in self._split_of for name in self._buildings)
+            unassigned = sum(name not in self._split_of for name in self._buildings)
             raise UserError(
-                f"split {split}: none of the {len(self._buildings)} buildings in {self._folder} gives a scene "
-                f"({len(chosen)} belong to it, {without} to no split); add lists of names for its splits, or more data"
+                f"split {split}: none of {len(self._buildings)} buildings in {self._folder} gives a scene "
+                f"({len(selected)} are in this split, {unassigned} in no split); add lists of names for the splits, or "
+                "more data"
             )
         return names
 
     def load(self, scene: str) -> Scene:
-        """One floor.
+        """Load one floor.
 
         Raises:
-            UserError: if there is no such floor, its files are malformed or nothing on it is free.
+            UserError: if the floor does not exist, its files are malformed, or it has no free space.
         """
         name, number = self._parse(scene)
         floor, _ = self._floors(name)[number]
         return self._scene(scene, _building(self._layout, self._buildings[name]), floor)
 
     def fingerprint(self, scene: str) -> str:
-        """Changes with the building's files (their size and time), the robot, the names and this code."""
+        """Return a hash of the building's files (sizes and times), robot, names and the code of this plugin."""
         name, number = self._parse(scene)
         settings = self._robot_radius, self._clearance, sorted(self._category_of.items())
         text = repr((self._key(name), number, settings))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def credits(self) -> Sequence[Credit]:
-        """The data set, for each building."""
+        """Return a credit to the data set for each building."""
         return [
             Credit(split, "building", name, self.name, self._licence, str(self._folder))
             for name, split in sorted(self._split_of.items())
@@ -119,7 +129,7 @@ class ScannedBuildings:
         if name in self._buildings and number.isdecimal() and int(number) < len(self._floors(name)):
             return name, int(number)
         raise UserError(
-            f"scene: got {scene!r}, expected a building's name and the number of its floor, such as "
+            f"scene: got {scene!r}, expected the name of a building and the number of a floor, such as "
             f"{next(iter(self._buildings))}_0; buildings: {', '.join(list(self._buildings)[:20])}"
         )
 
@@ -129,18 +139,16 @@ class ScannedBuildings:
         return SceneObject(instance, obj.name, self._category_of.get(obj.name), box, f"{self.name}/{obj.id}")
 
     def _scene(self, scene: str, building: Building, floor: Floor) -> Scene:
-        """A floor as a scene.
+        """Convert a floor to a scene.
 
         Raises:
-            UserError: if it has no objects or nothing of it is free.
+            UserError: if the floor has no objects or no free space.
         """
-        part, found = cut(building, floor)
-        if not found:
-            raise UserError(
-                f"scene {scene}: no object of the annotation lies on this floor; its semantics are empty"
-            )
+        part, annotated = crop_to_floor(building, floor)
+        if not annotated:
+            raise UserError(f"scene {scene}: no annotated object is on this floor; its semantics are empty")
         mesh = mesh_of(part)
-        objects = tuple(self._object(number, obj, part) for number, obj in enumerate(found, start=1))
+        objects = tuple(self._object(number, obj, part) for number, obj in enumerate(annotated, start=1))
         low, high = self._clearance
         try:
             free = free_space(mesh, floor.height, self._robot_radius, clearance=(low, high))
@@ -149,19 +157,19 @@ class ScannedBuildings:
         return Scene(scene, mesh, BRIGHT, objects, free, floor.height, floor.ceiling)
 
     def _usable(self, name: str) -> list[int]:
-        """Numbers of the floors that can be scenes; the others are told."""
+        """Return the numbers of the usable floors; log the others."""
         usable = []
         for number, (_, problem) in enumerate(self._floors(name)):
             if problem:
-                log.warning(f"{self.name}: left out: {problem}")
+                log.warning(f"{self.name}: skipped: {problem}")
             else:
                 usable.append(number)
         return usable
 
     def _floors(self, name: str) -> list[tuple[Floor, str]]:
-        """Floors of a building, each with why it can be no scene (empty if it can), from the cache."""
+        """Return the floors of a building with the problem of each (empty if usable), from the cache if possible."""
 
-        def find() -> dict[str, np.ndarray]:
+        def find_floors() -> dict[str, np.ndarray]:
             building = _building(self._layout, self._buildings[name])
             try:
                 floors = floors_of(building)
@@ -174,20 +182,21 @@ class ScannedBuildings:
             }
 
         settings = [self._robot_radius, *self._clearance, self._largest]
-        found = self._cache.get_or_build("buildings", {"building": self._key(name), "floors": settings}, find)
-        problems: list[str] = json.loads(found["problems"].tobytes())
+        key = {"building": self._key(name), "floors": settings}
+        arrays = self._cache.get_or_build("buildings", key, find_floors)
+        problems: list[str] = json.loads(arrays["problems"].tobytes())
         return [
-            (Floor(*row), problem) for row, problem in zip(found["floors"].tolist(), problems, strict=True)
+            (Floor(*row), problem) for row, problem in zip(arrays["floors"].tolist(), problems, strict=True)
         ]
 
     def _problem(self, scene: str, building: Building, floor: Floor) -> str:
-        """Why a floor can be no scene; empty if it can."""
+        """Return why a floor cannot be a scene; empty if it can."""
         try:
             needed = needed_extent(self._scene(scene, building, floor))
         except UserError as error:
             return str(error)
         if needed >= self._largest:
-            return f"scene {scene} needs a map of {needed:.1f} m, the global map has {self._largest} m"
+            return f"scene {scene}: needs a map of {needed:.1f} m, the global map has {self._largest} m"
         return ""
 
     def _key(self, name: str) -> str:
@@ -198,14 +207,11 @@ class ScannedBuildings:
 
 @lru_cache(maxsize=2)
 def _building(layout: Layout, path: Path) -> Building:
-    """The building read last is kept: its floors mostly follow each other."""
+    """Read a building; the last one is cached, since its floors are usually loaded one after another."""
     return layout.read(path)
 
 
-@lru_cache(maxsize=1)
+@cache
 def code_version() -> str:
-    """Hash of this plugin's code."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    """Return the hash of this plugin's code."""
+    return code_hash(Path(__file__).parent)

@@ -1,1 +1,1 @@
-"""Sweet Home 3D: designed furniture for our floor plans, and homes that people drew."""
+"""Sweet Home 3D: catalogue furniture for procedural homes, and hand-drawn homes as scenes."""

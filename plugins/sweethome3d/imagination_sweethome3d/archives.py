@@ -1,4 +1,4 @@
-"""Zip archives that may come from a stranger: sizes are bounded, nothing is ever unpacked to disk."""
+"""Untrusted zip archives: sizes are bounded, and nothing is unpacked to disk."""
 
 import io
 import posixpath
@@ -11,22 +11,23 @@ from pathlib import Path
 from imagination.utils.errors import UserError
 
 MAX_MEMBER = 64 * 2**20
-"""Most bytes that one member may unpack to."""
+"""Maximum uncompressed size of a member, bytes."""
 MAX_TOTAL = 2 * 2**30
-"""Most bytes that an archive may claim in all."""
+"""Maximum uncompressed size of an archive by its directory, bytes."""
 MAX_MEMBERS = 100_000
-RATIO = 1000
-"""Most times that a member may grow; deflate alone reaches 1032 on zeros."""
-SMALL = 2**20
-"""Bytes from which the ratio counts."""
+"""Maximum number of members of an archive."""
+MAX_RATIO = 1000
+"""Maximum compression ratio of a member; deflate alone reaches 1032 on zeros."""
+RATIO_FROM = 2**20
+"""Uncompressed size above which the compression ratio is checked, bytes."""
 MAX_TEXT = 16 * 2**20
-"""Most bytes of a member that is read as a whole before it can be judged: a plan, a catalogue."""
+"""Maximum size of a member that is parsed as a whole (a plan or a catalogue), bytes."""
 MAX_LINE = 2**16
-"""Most characters that a line of a text may have."""
+"""Maximum length of a line of text, characters."""
 
 
 class Archive:
-    """Members of one open zip file, by their normalised names."""
+    """Members of an open zip file by their normalised names."""
 
     def __init__(self, path: Path, file: zipfile.ZipFile) -> None:
         self.path = path
@@ -35,8 +36,8 @@ class Archive:
         total = sum(member.file_size for member in members)
         if len(members) > MAX_MEMBERS or total > MAX_TOTAL:
             raise UserError(
-                f"{path}: got {len(members)} members of {total} bytes unpacked, expected at most {MAX_MEMBERS} of "
-                f"{MAX_TOTAL}; it is not used"
+                f"{path}: got {len(members)} members of {total} bytes unpacked, expected at most {MAX_MEMBERS} members "
+                f"of {MAX_TOTAL} bytes; the archive is not used"
             )
         self._members = {
             _name(path, member.filename): member for member in members if not member.filename.endswith("/")
@@ -48,72 +49,74 @@ class Archive:
     def __iter__(self) -> Iterator[str]:
         return iter(self._members)
 
-    def read(self, name: str, most: int = MAX_MEMBER) -> bytes:
-        """The bytes of a member, at most so many.
+    def read(self, name: str, max_bytes: int = MAX_MEMBER) -> bytes:
+        """Return the bytes of a member.
 
         Raises:
-            UserError: if it is missing, damaged, encrypted or too large.
+            UserError: if the member is missing, damaged, encrypted or larger than `max_bytes`.
         """
         member = self._members.get(name)
         if member is None:
-            raise UserError(f"{self.path}: has no {name}")
-        if member.file_size > most or (
-            member.file_size > SMALL and member.file_size > RATIO * max(member.compress_size, 1)
+            raise UserError(f"{self.path}: has no member {name}")
+        if member.file_size > max_bytes or (
+            member.file_size > RATIO_FROM and member.file_size > MAX_RATIO * max(member.compress_size, 1)
         ):
             raise UserError(
                 f"{self.path}: {name} unpacks from {member.compress_size} to {member.file_size} bytes, expected at "
-                f"most {most} and {RATIO} times as many; it is not used"
+                f"most {max_bytes} bytes and a ratio of at most {MAX_RATIO}; the archive is not used"
             )
         try:
             with self._file.open(member) as file:
-                content = file.read(most + 1)  # what the directory claims may be a lie
+                content = file.read(max_bytes + 1)  # the size in the directory may be wrong
         except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError) as error:
             raise UserError(f"{self.path}: {name} cannot be read: {error}") from error
         except Exception as error:  # zlib.error and lzma.LZMAError have no common base
             raise UserError(f"{self.path}: {name} is damaged: {error}") from error
-        if len(content) > most:
-            raise UserError(f"{self.path}: {name} unpacks to more than {most} bytes; it is not used")
+        if len(content) > max_bytes:
+            raise UserError(
+                f"{self.path}: {name} unpacks to more than {max_bytes} bytes; the archive is not used"
+            )
         return content
 
-    def lines(self, name: str, most: int = MAX_MEMBER) -> Iterator[str]:
-        """The lines of a text in Latin-1, one at a time.
+    def lines(self, name: str, max_bytes: int = MAX_MEMBER) -> Iterator[str]:
+        """Yield the lines of a Latin-1 text.
 
         Raises:
-            UserError: if it cannot be read, or has a line that is too long.
+            UserError: if the member cannot be read, or a line is longer than MAX_LINE.
         """
-        text = io.TextIOWrapper(io.BytesIO(self.read(name, most)), "latin-1")
+        text = io.TextIOWrapper(io.BytesIO(self.read(name, max_bytes)), "latin-1")
         while line := text.readline(MAX_LINE + 1):
             if len(line) > MAX_LINE:
                 raise UserError(
-                    f"{self.path}: {name} has a line of more than {MAX_LINE} characters; it is not used"
+                    f"{self.path}: {name} has a line of more than {MAX_LINE} characters; the archive is not used"
                 )
             yield line
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Archive]:
-    """An archive, open for reading.
+def open_archive(path: Path) -> Iterator[Archive]:
+    """Open an archive for reading.
 
     Raises:
-        UserError: if it does not exist, is no zip file, or holds what no archive should.
+        UserError: if the file does not exist, is not a zip file, or breaks the limits of `Archive`.
     """
     try:
         file = zipfile.ZipFile(path)
     except FileNotFoundError as error:
-        raise UserError(f"{path}: there is no such file") from error
+        raise UserError(f"{path}: does not exist") from error
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from error
     except (zipfile.BadZipFile, NotImplementedError, ValueError, OverflowError, struct.error) as error:
-        raise UserError(f"{path}: is not a zip file or is damaged ({error})") from error
+        raise UserError(f"{path}: is not a zip file, or is damaged ({error})") from error
     with file:
         yield Archive(path, file)
 
 
 def _name(path: Path, name: str) -> str:
-    """A member's name as a relative path, refused if it has none or leads out of the archive."""
+    """Return the name of a member as a normalised path; refuse an empty name or one outside the archive."""
     plain = posixpath.normpath(name.replace("\\", "/"))
     if plain.startswith(("/", "../")) or plain in (".", "..") or ":" in plain.partition("/")[0]:
         raise UserError(
-            f"{path}: its member {name!r} names no file or leads out of the archive; it is not used"
+            f"{path}: member {name!r} has no file name or leads out of the archive; the archive is not used"
         )
     return plain

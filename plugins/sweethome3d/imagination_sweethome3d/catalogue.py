@@ -1,4 +1,4 @@
-"""Catalogues of furniture: the `.sh3f` archives and what each of their entries says."""
+"""Furniture catalogues: parser of `.sh3f` archives and their entries."""
 
 import hashlib
 import re
@@ -11,27 +11,27 @@ import numpy as np
 from jaxtyping import Float
 
 from imagination.utils.errors import UserError
-from imagination_sweethome3d.archives import MAX_TEXT, Archive, opened
+from imagination_sweethome3d.archives import MAX_TEXT, Archive, open_archive
 
 PROPERTIES = "PluginFurnitureCatalog.properties"
 LINE = re.compile(r"\s*(\w+)#(\d{1,9})\s*[=:]\s*(.*)")
 ESCAPES = re.compile(r"(?:\\u[0-9a-fA-F]{4})+")
-"""A run of characters beyond Latin-1: those beyond 16 bits are written as two that belong together."""
+"""Consecutive Unicode escapes; characters beyond 16 bits are written as a surrogate pair."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One piece of furniture as a catalogue describes it.
+    """Catalogue entry of a piece of furniture.
 
     Attributes:
-        id: unique, e.g. "Scopia#chair".
-        name, tags, section: in English.
-        model: member of the archive that holds its mesh.
+        id: unique identifier, e.g. "Scopia#chair".
+        name, tags, section: texts in English.
+        model: member of the archive that holds the mesh.
         size: width, depth and height, metres.
-        rotation: of the mesh's axes (x, y up, z to the front) before it is scaled.
-        door_or_window: whether it belongs into a wall.
-        creator: who made it.
-        licence: of its archive.
+        rotation: rotation of the mesh axes (x, y up, z to the front) before scaling, nine numbers by rows.
+        door_or_window: whether the piece is a door or window, which belongs into a wall.
+        creator: author of the model.
+        licence: licence of the archive.
         archive: file name of the archive.
     """
 
@@ -48,14 +48,14 @@ class Entry:
     archive: str
 
     @property
-    def turn(self) -> Float[np.ndarray, "3 3"]:
-        """The rotation as a matrix."""
+    def rotation_matrix(self) -> Float[np.ndarray, "3 3"]:
+        """Rotation of the mesh axes as a matrix."""
         return np.array(self.rotation).reshape(3, 3)
 
 
 @dataclass(frozen=True)
 class Catalogue:
-    """An archive's entries; `problems` are those that cannot be read, by their number, with the reason."""
+    """Entries of an archive; `problems` holds the id of each unreadable entry and the reason."""
 
     path: Path
     entries: tuple[Entry, ...]
@@ -63,17 +63,17 @@ class Catalogue:
 
 
 def read_catalogue(path: Path) -> Catalogue:
-    """Read an archive's catalogue.
+    """Read the catalogue of an archive.
 
     Raises:
-        UserError: if it is no archive of furniture.
+        UserError: if the file is not a furniture archive.
     """
     return _read(path.resolve(), _time(path))
 
 
 @lru_cache(maxsize=32)
 def _read(path: Path, _time: int) -> Catalogue:
-    with opened(path) as archive:
+    with open_archive(path) as archive:
         if PROPERTIES not in archive:
             raise UserError(f"{path}: has no {PROPERTIES}, expected a furniture archive (.sh3f)")
         rows = _rows(archive.lines(PROPERTIES, MAX_TEXT))
@@ -83,15 +83,15 @@ def _read(path: Path, _time: int) -> Catalogue:
         try:
             entries.append(_entry(row, licence, path.name))
         except (KeyError, ValueError) as error:
-            problems.append((row.get("id", f"entry {number}"), f"its catalogue entry is broken: {error!r}"))
+            problems.append((row.get("id", f"entry {number}"), f"invalid catalogue entry: {error!r}"))
     if not entries:
-        raise UserError(f"{path}: its {PROPERTIES} describes no furniture")
+        raise UserError(f"{path}: {PROPERTIES} has no readable furniture entry")
     return Catalogue(path, tuple(entries), tuple(problems))
 
 
 def names_in_all_languages(path: Path) -> dict[str, set[str]]:
-    """For each entry's id its names in every language that the archive speaks, in lower case."""
-    with opened(path) as archive:
+    """Return the lower-case names of each entry in all languages of the archive, by entry id."""
+    with open_archive(path) as archive:
         ids = {
             number: row["id"]
             for number, row in _rows(archive.lines(PROPERTIES, MAX_TEXT)).items()
@@ -107,16 +107,16 @@ def names_in_all_languages(path: Path) -> dict[str, set[str]]:
 
 
 def fingerprint(path: Path) -> str:
-    """Hash of an archive's content.
+    """Return the SHA-256 of an archive.
 
     Raises:
-        UserError: if it cannot be read.
+        UserError: if the file cannot be read.
     """
     return _hash(path.resolve(), _time(path))
 
 
 def _time(path: Path) -> int:
-    """When a file was changed last; 0 if it is none, which its reader then tells."""
+    """Return the modification time of a file, ns; 0 if it does not exist, which the reader then reports."""
     return path.stat().st_mtime_ns if path.is_file() else 0
 
 
@@ -130,7 +130,7 @@ def _hash(path: Path, _time: int) -> str:
 
 
 def _rows(lines: Iterable[str]) -> dict[int, dict[str, str]]:
-    """Keys and values of each numbered entry of a Java properties file."""
+    """Return the keys and values of each numbered entry of a Java properties file."""
     rows: dict[int, dict[str, str]] = {}
     for line in lines:
         if match := LINE.match(line):
@@ -139,18 +139,18 @@ def _rows(lines: Iterable[str]) -> dict[int, dict[str, str]]:
     return rows
 
 
-def _unescaped(run: re.Match[str]) -> str:
-    return bytes.fromhex(run[0].replace("\\u", "")).decode("utf-16-be", "replace")
+def _unescaped(escapes: re.Match[str]) -> str:
+    return bytes.fromhex(escapes[0].replace("\\u", "")).decode("utf-16-be", "replace")
 
 
 def _entry(row: dict[str, str], licence: str, archive: str) -> Entry:
     width, depth, height = (float(row[key]) / 100 for key in ("width", "depth", "height"))
     if not all(0 < side < 100 for side in (width, depth, height)):
-        raise ValueError(f"its size is {width} x {depth} x {height} m")
+        raise ValueError(f"size: got {width} x {depth} x {height} m, expected sides in (0, 100) m")
     rotation = tuple(float(value) for value in row.get("modelRotation", "1 0 0 0 1 0 0 0 1").split())
-    turn = np.array(rotation)
-    if len(rotation) != 9 or np.abs(turn.reshape(3, 3) @ turn.reshape(3, 3).T - np.eye(3)).max() > 1e-2:
-        raise ValueError(f"its modelRotation is {rotation}")
+    matrix = np.array(rotation)
+    if len(rotation) != 9 or np.abs(matrix.reshape(3, 3) @ matrix.reshape(3, 3).T - np.eye(3)).max() > 1e-2:
+        raise ValueError(f"modelRotation: got {rotation}, expected a rotation matrix of nine numbers")
     return Entry(
         row["id"],
         row["name"],
@@ -167,7 +167,7 @@ def _entry(row: dict[str, str], licence: str, archive: str) -> Entry:
 
 
 def _licence(archive: Archive) -> str:
-    """The licence that an archive's LICENSE.TXT names, for lists of credits."""
+    """Return the licence that LICENSE.TXT names, for the credits."""
     text = "".join(archive.read(name, MAX_TEXT).decode("latin-1") for name in _licence_files(archive)).lower()
     united_states = "/by/3.0/us" in text
     if "creative commons zero" in text:

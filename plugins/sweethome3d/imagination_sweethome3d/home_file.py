@@ -1,6 +1,6 @@
-"""What a Sweet Home 3D file says: walls, rooms, openings and furniture of each level, in metres.
+"""Parser of Sweet Home 3D homes: walls, rooms, openings and furniture of each level, in metres.
 
-Plans are drawn with x to the right and y down, angles clockwise; here y is up and angles counter-clockwise.
+The plan of a file has x to the right and y down, with clockwise angles; here y is up and angles are counter-clockwise.
 """
 
 from collections.abc import Iterator
@@ -12,24 +12,25 @@ from xml.parsers import expat
 import numpy as np
 
 from imagination.utils.errors import UserError
-from imagination_sweethome3d.archives import MAX_TEXT, opened
+from imagination_sweethome3d.archives import MAX_TEXT, open_archive
 
 HOME = "Home.xml"
 FURNITURE = ("pieceOfFurniture", "light", "shelfUnit", "doorOrWindow")
-COUNTED = frozenset(("level", "wall", "room", "point", "furnitureGroup", *FURNITURE))
-PLAIN = 0.78, 0.76, 0.72
+COUNTED_TAGS = frozenset(("level", "wall", "room", "point", "furnitureGroup", *FURNITURE))
+PLAIN_FLOOR = 0.78, 0.76, 0.72
+"""Colour of floors without one, RGB in [0, 1]."""
 CENTIMETRE = 0.01
-LONGEST = 1000.0
-"""Farthest from the origin, and largest, that anything may be, metres."""
+MAX_LENGTH = 1000.0
+"""Maximum coordinate and side length, metres."""
 MAX_ITEMS = 20_000
-"""Most levels, walls, rooms, points of rooms and pieces of furniture of a home."""
+"""Maximum number of levels, walls, rooms, points of rooms and pieces of furniture of a home."""
 
 Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Wall:
-    """A straight piece of wall: from start to end along its middle, metres."""
+    """Straight wall segment from start to end of its centre line, metres."""
 
     start: tuple[float, float]
     end: tuple[float, float]
@@ -40,7 +41,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Room:
-    """A floor and, mostly, a ceiling."""
+    """Polygon with a floor and, usually, a ceiling."""
 
     outline: tuple[tuple[float, float], ...]
     floor: Colour
@@ -50,19 +51,20 @@ class Room:
 
 @dataclass(frozen=True)
 class HomePiece:
-    """A piece of furniture, or what fills an opening.
+    """Piece of furniture, or a door or window in an opening.
 
     Attributes:
-        catalogue_id, name, model: as the file has them.
-        centre: x, y of its middle; `elevation` of its foot above the level's floor, metres.
-        yaw: of its x axis, radians.
-        size: width, depth, height, metres.
-        pitch, roll: by which it is tipped about its width, or about its depth, radians; one of them counts.
-        mirrored: whether its model is mirrored left to right.
-        turn: rotation of its model, nine numbers by rows.
-        opening: whether it belongs into a wall.
-        colour: that replaces the model's, if one was chosen.
-        creator, licence: of its model, empty if the file does not name them.
+        catalogue_id, name, model: values of the file.
+        centre: x and y of the centre, metres.
+        elevation: height of the bottom above the floor of the level, metres.
+        yaw: angle of the x axis, radians.
+        size: width, depth and height, metres.
+        pitch, roll: tilt about the width axis or about the depth axis, radians; roll is ignored if there is a pitch.
+        mirrored: whether the model is mirrored left to right.
+        model_rotation: rotation of the model, nine numbers by rows.
+        opening: whether the piece is a door or window, which belongs into a wall.
+        colour: colour that replaces those of the model, or None.
+        creator, licence: author and licence of the model, empty if the file does not name them.
     """
 
     catalogue_id: str
@@ -75,7 +77,7 @@ class HomePiece:
     pitch: float
     roll: float
     mirrored: bool
-    turn: tuple[float, ...]
+    model_rotation: tuple[float, ...]
     opening: bool
     colour: Colour | None
     creator: str
@@ -83,13 +85,13 @@ class HomePiece:
 
     @property
     def key(self) -> str:
-        """What tells its model from others."""
+        """Identifier of the model."""
         return self.catalogue_id or self.model or self.name
 
 
 @dataclass(frozen=True)
 class Level:
-    """One floor of a home: `elevation` of its floor and `height` of its walls, metres."""
+    """Level of a home: elevation of its floor and height of its walls, metres."""
 
     name: str
     elevation: float
@@ -108,17 +110,17 @@ class Level:
 
 
 def read_home(path: Path) -> tuple[Level, ...]:
-    """The levels of a home that have something to stand on and furniture.
+    """Read the furnished levels of a home that have rooms or walls.
 
     Raises:
-        UserError: if it is no home, an older one, damaged, or has no furniture.
+        UserError: if the file is not a home, has an older format, is damaged, or has no furniture.
     """
-    with opened(path) as archive:
+    with open_archive(path) as archive:
         if HOME not in archive:
-            if "Home" in archive:
+            if "Home" in archive:  # serialised Java
                 raise UserError(
-                    f"{path}: has no {HOME}: a version of Sweet Home 3D before 5.3 wrote it; open it in a newer one "
-                    "and save it again"
+                    f"{path}: has no {HOME}, written by Sweet Home 3D before 5.3; open it in a newer version and save "
+                    "it again"
                 )
             raise UserError(f"{path}: has no {HOME}, expected a home of Sweet Home 3D (.sh3d)")
         root = parse_xml(archive.read(HOME, MAX_TEXT), f"{path}: {HOME}")
@@ -127,26 +129,27 @@ def read_home(path: Path) -> tuple[Level, ...]:
     try:
         levels = _levels(root)
     except (KeyError, ValueError) as error:
-        raise UserError(f"{path}: {HOME} is broken: {error}") from error
+        raise UserError(f"{path}: {HOME} is invalid: {error}") from error
     usable = tuple(level for level in levels if level.furniture and (level.rooms or level.walls))
     if not usable:
         raise UserError(
-            f"{path}: none of its {len(levels)} levels has furniture and a room or walls around it; furnish it in "
-            "Sweet Home 3D"
+            f"{path}: none of {len(levels)} levels has furniture and a room or walls; furnish it in Sweet Home 3D"
         )
     return usable
 
 
 def parse_xml(content: bytes, where: str) -> Element:
-    """XML without a document type, so that no entity is ever defined, let alone fetched.
+    """Parse XML without a document type, so that no entity can be defined or fetched.
 
     Raises:
-        UserError: if it is malformed or declares a document type.
+        UserError: if the XML is malformed or declares a document type.
     """
     builder, parser = TreeBuilder(), expat.ParserCreate()
 
     def refuse(*_: object) -> None:
-        raise UserError(f"{where}: declares a document type, which no home needs; it is not read")
+        raise UserError(
+            f"{where}: declares a document type, which is not allowed in a home; the file is not read"
+        )
 
     parser.StartDoctypeDeclHandler = refuse
     parser.StartElementHandler = builder.start
@@ -162,15 +165,15 @@ def parse_xml(content: bytes, where: str) -> Element:
         AssertionError,
         LookupError,
         ValueError,
-    ) as error:  # the last two: of its encoding
+    ) as error:  # the last two are raised for unknown encodings
         raise UserError(f"{where} is damaged: {error}") from error
 
 
 def _levels(root: Element) -> list[Level]:
-    count = sum(node.tag in COUNTED for node in root.iter())
+    count = sum(node.tag in COUNTED_TAGS for node in root.iter())
     if count > MAX_ITEMS:
         raise ValueError(
-            f"it has {count} levels, walls, rooms, points and pieces of furniture, expected at most {MAX_ITEMS}"
+            f"got {count} levels, walls, rooms, points and pieces of furniture, expected at most {MAX_ITEMS}"
         )
     known: dict[str, Element | None] = {node.attrib["id"]: node for node in root.findall("level")} or {
         "": None
@@ -182,7 +185,7 @@ def _levels(root: Element) -> list[Level]:
     rooms: dict[str, list[Room]] = {key: [] for key in known}
     pieces: dict[str, list[HomePiece]] = {key: [] for key in known}
     for child, level in _items(root):
-        key = level if level in known else ground  # what names no level stands on the ground
+        key = level if level in known else ground  # items without a known level belong to the ground floor
         if child.tag == "wall":
             walls[key] += _walls(child, wall_height)
         elif child.tag == "room":
@@ -206,15 +209,14 @@ def _levels(root: Element) -> list[Level]:
 
 
 def _items(root: Element) -> Iterator[tuple[Element, str]]:
-    """Walls, rooms and visible furniture with their levels.
+    """Yield walls, rooms and visible furniture with their levels, groups expanded in place.
 
-    The pieces of a group, which carry their own positions, come in the group's place in the list and, if they name no
-    level, are on the group's.
+    Pieces of a group have positions in the plan; those without a level are on the level of the group.
     """
     waiting = [(child, "") for child in reversed(root)]
     while waiting:
-        node, outer = waiting.pop()
-        level = node.get("level", outer)
+        node, group_level = waiting.pop()
+        level = node.get("level", group_level)
         if node.tag in ("wall", "room"):
             yield node, level
         elif node.get("visible", "true") == "false":
@@ -226,7 +228,7 @@ def _items(root: Element) -> Iterator[tuple[Element, str]]:
 
 
 def _walls(node: Element, wall_height: float) -> list[Wall]:
-    """A wall; an arc as eight straight pieces."""
+    """Return the segments of a wall: one, or eight along an arc."""
     ends = [
         np.array([_length(node, f"x{end}", None), -_length(node, f"y{end}", None)])
         for end in ("Start", "End")
@@ -235,7 +237,9 @@ def _walls(node: Element, wall_height: float) -> list[Wall]:
     thickness = _length(node, "thickness", 7.5)
     colour = _colour(node.get("leftSideColor") or node.get("rightSideColor")) or (0.93, 0.92, 0.9)
     if not 0 < thickness < 5 or not 0 < height < 50:
-        raise ValueError(f"a wall is {thickness} m thick and {height} m high")
+        raise ValueError(
+            f"got a wall {thickness} m thick and {height} m high, expected (0, 5) m and (0, 50) m"
+        )
     points = _along_arc(*ends, float(node.get("arcExtent", 0.0)))
     return [
         Wall((float(a[0]), float(a[1])), (float(b[0]), float(b[1])), thickness, height, colour)
@@ -245,12 +249,11 @@ def _walls(node: Element, wall_height: float) -> list[Wall]:
 
 
 def _along_arc(start: np.ndarray, end: np.ndarray, extent: float) -> list[np.ndarray]:
-    """Points from start to end on an arc of so many radians (positive turns counter-clockwise on the plan)."""
+    """Return points from start to end on an arc of `extent` radians, positive counter-clockwise on the plan."""
     if abs(extent) < 1e-3 or not abs(extent) < 2 * np.pi:
         return [start, end]
     chord = end - start
-    # the plan's y points down, so that its turns are the other way round here
-    turn = -extent
+    turn = -extent  # the y axis of the plan points down
     centre = (start + end) / 2 + np.array([-chord[1], chord[0]]) / (2 * np.tan(turn / 2))
     arm = start - centre
     angles = np.linspace(0, turn, 9)
@@ -266,7 +269,7 @@ def _room(node: Element) -> Room:
     )
     return Room(
         outline,
-        _colour(node.get("floorColor")) or PLAIN,
+        _colour(node.get("floorColor")) or PLAIN_FLOOR,
         _colour(node.get("ceilingColor")) or (0.97, 0.97, 0.96),
         node.get("ceilingVisible", "true") != "false",
     )
@@ -274,11 +277,15 @@ def _room(node: Element) -> Room:
 
 def _piece(node: Element) -> HomePiece:
     width, depth, height = (_length(node, side, None) for side in ("width", "depth", "height"))
-    if not all(0 < side < LONGEST for side in (width, depth, height)):
-        raise ValueError(f"{node.get('name')!r} measures {width} x {depth} x {height} m")
-    turn = tuple(float(value) for value in node.get("modelRotation", "1 0 0 0 1 0 0 0 1").split())
-    if len(turn) != 9 or not np.isfinite(turn).all():
-        raise ValueError(f"{node.get('name')!r} has the modelRotation {turn}")
+    if not all(0 < side < MAX_LENGTH for side in (width, depth, height)):
+        raise ValueError(
+            f"size of {node.get('name')!r}: got {width} x {depth} x {height} m, expected sides in (0, {MAX_LENGTH}) m"
+        )
+    rotation = tuple(float(value) for value in node.get("modelRotation", "1 0 0 0 1 0 0 0 1").split())
+    if len(rotation) != 9 or not np.isfinite(rotation).all():
+        raise ValueError(
+            f"modelRotation of {node.get('name')!r}: got {rotation}, expected nine finite numbers"
+        )
     return HomePiece(
         node.get("catalogId", ""),
         node.get("name", ""),
@@ -290,7 +297,7 @@ def _piece(node: Element) -> HomePiece:
         _number(node, "pitch", 0.0),
         _number(node, "roll", 0.0),
         node.get("modelMirrored") == "true",
-        turn,
+        rotation,
         node.tag == "doorOrWindow",
         _colour(node.get("color")),
         node.get("creator", ""),
@@ -299,10 +306,12 @@ def _piece(node: Element) -> HomePiece:
 
 
 def _length(node: Element, name: str, default: float | None = 0.0) -> float:
-    """A length of the file, which are centimetres, in metres."""
+    """Return an attribute in centimetres as metres."""
     value = _number(node, name, default) * CENTIMETRE
-    if not abs(value) <= LONGEST:
-        raise ValueError(f"<{node.tag}> has {name}={node.get(name)!r}")
+    if not abs(value) <= MAX_LENGTH:
+        raise ValueError(
+            f"<{node.tag}> {name}: got {node.get(name)!r}, expected at most {MAX_LENGTH / CENTIMETRE:g} cm"
+        )
     return value
 
 
@@ -314,12 +323,12 @@ def _number(node: Element, name: str, default: float | None) -> float:
         return default
     value = float(text)
     if not np.isfinite(value):
-        raise ValueError(f"<{node.tag}> has {name}={text!r}")
+        raise ValueError(f"<{node.tag}> {name}: got {text!r}, expected a finite number")
     return value
 
 
 def _colour(text: str | None) -> Colour | None:
-    """RGB, 0 to 1, of eight or six hexadecimal digits."""
+    """Return RGB in [0, 1] of six or eight hexadecimal digits."""
     if not text:
         return None
     number = int(text, 16)

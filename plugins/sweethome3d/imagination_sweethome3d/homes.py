@@ -1,4 +1,4 @@
-"""The scene source of homes that people drew: a folder of `.sh3d` files."""
+"""Scene source of homes drawn in Sweet Home 3D: a folder of `.sh3d` files."""
 
 import hashlib
 import logging
@@ -12,31 +12,31 @@ import numpy as np
 from jaxtyping import Float
 
 from imagination.scenes.building_blocks.assembly import assemble, object_of
+from imagination.scenes.building_blocks.furniture_source import SOURCE
 from imagination.scenes.building_blocks.palette import Finish
 from imagination.scenes.building_blocks.pieces import Assembly, Piece, Placed
 from imagination.scenes.building_blocks.shapes import box
 from imagination.scenes.categories import Category, CategoryTable
 from imagination.scenes.free_space import free_space
-from imagination.scenes.procedural.source import SOURCE
 from imagination.scenes.scene import Lighting, Material, Scene
 from imagination.scenes.source import SPLITS, Credit, Split
 from imagination.utils.errors import UserError, check_choice
-from imagination_sweethome3d.archives import Archive, opened
+from imagination_sweethome3d.archives import Archive, open_archive
 from imagination_sweethome3d.catalogue import Entry, fingerprint, names_in_all_languages, read_catalogue
 from imagination_sweethome3d.furniture import code_version, entry_label, find_archives
 from imagination_sweethome3d.home_file import HomePiece, Level, read_home
 from imagination_sweethome3d.labels import label_of, label_of_name
-from imagination_sweethome3d.models import Model, UnfitError, fitted, read_model
+from imagination_sweethome3d.models import Model, UnfitError, fit_model, read_model
 from imagination_sweethome3d.obj import ObjMesh
 from imagination_sweethome3d.shell import build_shell
 
 log = logging.getLogger(__name__)
 
 NAME = "sweethome3d"
-SHARES = {"test": 0.25, "val": 0.15}
-"""Of the files of a folder without folders for its splits."""
+SPLIT_FRACTIONS = {"test": 0.25, "val": 0.15}
+"""Fraction of the files in each split where the folder has no folders for splits."""
 MAX_TRIANGLES = 3_000_000
-"""Of the models of a level; pieces that come after are drawn as boxes."""
+"""Maximum number of triangles of the models of a level; further pieces become boxes."""
 LIGHT = Lighting(
     (0.5, 0.5, 0.5),
     np.array([[0.48, 0.36, 0.8], [-0.6, 0.0, 0.8]], np.float32),
@@ -44,26 +44,34 @@ LIGHT = Lighting(
 )
 
 
-class Became(NamedTuple):
-    """What a piece of a home became: its label (empty: nothing), what told it, and how it is drawn."""
+class PieceReport(NamedTuple):
+    """Interpretation of a piece of a home.
+
+    Attributes:
+        piece: piece as the file describes it.
+        label: label of the piece, empty if unknown.
+        label_source: attribute that the label was derived from.
+        drawn_as: its model, or a box with the reason.
+    """
 
     piece: HomePiece
     label: str
-    told_by: str
-    drawn: str
+    label_source: str
+    drawn_as: str
 
 
 class SweetHomes:
     """Homes of a folder; each furnished level is a scene.
 
     Args:
-        folder: with `.sh3d` files, in folders train, val and test or all together; then they are shared out by name.
-        categories: the category table; labels are those of procedural homes.
-        robot_radius: metres.
-        catalogues: folder with `.sh3f` archives, which tell what pieces are; None looks where the assets are kept.
+        folder: folder of `.sh3d` files, either in folders train, val and test or together; the latter are split by a
+            hash of their names.
+        categories: category table; labels are those of procedural homes.
+        robot_radius: radius of the robot, metres.
+        catalogues: folder of `.sh3f` archives, from which labels of pieces are derived; None searches the assets.
 
     Raises:
-        UserError: if there is no folder, or it holds no home.
+        UserError: if the folder does not exist, or holds no home.
     """
 
     name = NAME
@@ -77,28 +85,28 @@ class SweetHomes:
     ) -> None:
         if not folder:
             raise UserError(
-                "data.scenes.folder: got none, expected one with .sh3d files, in folders train, val and test or all "
+                "data.scenes.folder: got null, expected a folder of .sh3d files, in folders train, val and test or "
                 "together"
             )
         self._folder = Path(folder)
         self._categories, self._robot_radius, self._catalogues = categories, robot_radius, catalogues
         if self._folder.is_file():
-            raise UserError(f"homes: got the file {folder}, expected a folder that holds it")
+            raise UserError(f"data.scenes.folder: got the file {folder}, expected its folder")
         if not any(self._folder.rglob("*.sh3d")):
             raise UserError(
-                f"homes: found no .sh3d file in {self._folder.resolve()}"
-                f"{'' if self._folder.is_dir() else ', which does not exist'}; set data.scenes.folder to a folder of "
-                "homes saved by Sweet Home 3D 5.3 or later, in folders train, val and test or all together"
+                f"data.scenes.folder: found no .sh3d file in {self._folder.resolve()}"
+                f"{'' if self._folder.is_dir() else ', which does not exist'}; expected a folder of homes saved by "
+                "Sweet Home 3D 5.3 or later, in folders train, val and test or together"
             )
 
     def scenes(self, split: Split) -> list[str]:
-        """Names of a split's levels: the file's, with the level's number where there are several."""
+        """Return the names of a split's levels: the file name, with the number of the level if there are several."""
         check_choice("split", split, SPLITS)
         names = [name for path in self._files()[split] for name in _scenes_of(path)]
         if not names:
             counts = ", ".join(f"{len(paths)} in {key}" for key, paths in self._files().items())
             raise UserError(
-                f"split {split}: has no homes ({counts}) in {self._folder}; add files, or make folders train, val "
+                f"split {split}: found no homes in {self._folder} ({counts}); add files, or make folders train, val "
                 "and test"
             )
         return names
@@ -107,14 +115,14 @@ class SweetHomes:
         """Build one level.
 
         Raises:
-            UserError: if there is no such scene, its file is broken, or the robot fits nowhere.
+            UserError: if the scene does not exist, its file is invalid, or it has no free space for the robot.
         """
         path, level = self._level(scene)
         parts = [Placed(build_shell(level), z=level.elevation)]
-        for (piece, *_), made in self._built(path, level):
+        for (piece, *_), model in self._pieces(path, level):
             z = level.elevation + piece.elevation
-            # a piece's frame is turned by half a turn against the plan's: its front is at +y
-            parts.append(Placed(made, *piece.centre, piece.yaw + np.pi, z))
+            # the front of a piece is at +y here and at -y in the plan
+            parts.append(Placed(model, *piece.centre, piece.yaw + np.pi, z))
         mesh = assemble(parts)
         objects = tuple(
             object_of(number, part, self._category(part.piece.label))
@@ -128,42 +136,43 @@ class SweetHomes:
         ceiling = level.elevation + level.height
         return Scene(scene, mesh, LIGHT, objects, free, level.elevation, ceiling)
 
-    def became(self, scene: str) -> list[Became]:
-        """What each piece of a scene became."""
-        return [became for became, _ in self._built(*self._level(scene))]
+    def piece_reports(self, scene: str) -> list[PieceReport]:
+        """Return the label and model of each piece of a scene."""
+        return [report for report, _ in self._pieces(*self._level(scene))]
 
-    def _built(self, path: Path, level: Level) -> Iterator[tuple[Became, Piece]]:
-        with opened(path) as archive:
+    def _pieces(self, path: Path, level: Level) -> Iterator[tuple[PieceReport, Piece]]:
+        with open_archive(path) as archive:
             models = _Models(archive)
             for piece in level.furniture:
-                label, told_by = self._label(piece)
-                made, drawn = _made(models, piece, label)
-                yield Became(piece, label, told_by, drawn), made
+                label, label_source = self._label(piece)
+                model, drawn_as = _build_piece(models, piece, label)
+                yield PieceReport(piece, label, label_source, drawn_as), model
 
     def credits(self) -> Sequence[Credit]:
-        """Models whose authors a catalogue or the homes themselves name; a home that cannot be read is told."""
+        """Return the models whose authors a catalogue or a home names; unreadable homes are logged."""
         entries, _ = _known(_catalogues(self._catalogues))
-        found = set()
-        for split, path in self._every():
+        credits = set()
+        for split, path in self._all_files():
             try:
                 levels = _levels_of(path)
             except UserError as error:
-                log.warning("credits: left out a home: %s", error)
+                log.warning("credits: skipped a home: %s", error)
                 continue
             for piece in (piece for level in levels for piece in level.furniture):
                 label = self._label(piece)[0] or piece.name
                 if (entry := entries.get(piece.catalogue_id)) is not None:
-                    found.add(Credit(split, label, entry.id, entry.creator, entry.licence, entry.archive))
+                    credits.add(Credit(split, label, entry.id, entry.creator, entry.licence, entry.archive))
                 elif piece.creator:
                     licence = piece.licence or "unknown"
-                    found.add(Credit(split, label, piece.key, piece.creator, licence, path.name))
-        return sorted(found)
+                    credits.add(Credit(split, label, piece.key, piece.creator, licence, path.name))
+        return sorted(credits)
 
     def fingerprint(self, scene: str) -> str:
-        """Changes with the file, the robot, the catalogues, the categories' labels and this code."""
+        """Return a hash of the file, robot radius, catalogues, aliases of categories and code of this plugin."""
         path, _ = self._level(scene)
         aliases = [
-            (row.name, {source: sorted(of) for source, of in row.aliases.items()}) for row in self._categories
+            (row.name, {source: sorted(labels) for source, labels in row.aliases.items()})
+            for row in self._categories
         ]
         content = hashlib.sha256(path.read_bytes()).hexdigest()
         archives = [fingerprint(path) for path in _catalogues(self._catalogues)]
@@ -171,31 +180,31 @@ class SweetHomes:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _files(self) -> dict[Split, list[Path]]:
-        return _shared_out(self._folder)
+        return _split_files(self._folder)
 
-    def _every(self) -> list[tuple[Split, Path]]:
+    def _all_files(self) -> list[tuple[Split, Path]]:
         return [(split, path) for split, paths in self._files().items() for path in paths]
 
     def _level(self, scene: str) -> tuple[Path, Level]:
-        for _, path in self._every():
+        for _, path in self._all_files():
             if scene.startswith(path.stem) and scene in (names := _scenes_of(path)):
                 return path, _levels_of(path)[names.index(scene)]
-        known = [name for _, path in self._every() for name in _scenes_of(path)]
+        known = [name for _, path in self._all_files() for name in _scenes_of(path)]
         raise UserError(f"scene: got {scene!r}, expected one of: {', '.join(known[:50])}")
 
     def _category(self, label: str) -> str | None:
         return self._categories.of_label(NAME, label) or self._categories.of_label(SOURCE, label)
 
     def _label(self, piece: HomePiece) -> tuple[str, str]:
-        """A piece's label and what told it: its id, its model, then its name in any language."""
+        """Return the label of a piece and its source: the catalogue, the id, the model, or the name in any language."""
         entries, names = _known(_catalogues(self._catalogues))
         if (entry := entries.get(piece.catalogue_id)) is not None:
             return entry_label(entry) or "", "catalogue"
-        for told_by, text in (("id", piece.catalogue_id), ("model", piece.model)):
+        for source, text in (("id", piece.catalogue_id), ("model", piece.model)):
             if text and (label := label_of([text], piece.size)):
-                return label, told_by
+                return label, source
         label = label_of_name(piece.name, names, piece.size)
-        return (label, "name") if label else ("", "nothing known")
+        return (label, "name") if label else ("", "no known attribute")
 
 
 def _scenes_of(path: Path) -> list[str]:
@@ -212,21 +221,23 @@ def _home(path: Path, _time: int) -> tuple[Level, ...]:
     return read_home(path)
 
 
-def _shared_out(folder: Path) -> dict[Split, list[Path]]:
-    """Files of each split: by folders, else by a hash of their names."""
+def _split_files(folder: Path) -> dict[Split, list[Path]]:
+    """Return the files of each split: by folders, else by a hash of their names."""
     if any((folder / split).is_dir() for split in SPLITS):
         files = {split: sorted((folder / split).rglob("*.sh3d")) for split in SPLITS}
     else:
         mixed = sorted(folder.rglob("*.sh3d"), key=lambda p: hashlib.sha256(p.stem.encode()).hexdigest())
-        test = max(round(SHARES["test"] * len(mixed)), int(len(mixed) > 1))
-        val = max(round(SHARES["val"] * len(mixed)), int(len(mixed) > 2))
+        test = max(round(SPLIT_FRACTIONS["test"] * len(mixed)), int(len(mixed) > 1))
+        val = max(round(SPLIT_FRACTIONS["val"] * len(mixed)), int(len(mixed) > 2))
         files = {"train": mixed[test + val :], "val": mixed[test : test + val], "test": mixed[:test]}
-    every = [path for paths in files.values() for path in paths]
-    by_stem = {path.stem: path for path in every}
-    if len(by_stem) < len(every):
-        twice = sorted({path.stem for path in every if path != by_stem[path.stem]})
-        raise UserError(f"homes: several files in {folder} are called {', '.join(twice)}; rename all but one")
-    for stem, path in by_stem.items():  # a level of one home may be called as another home is
+    homes = [path for paths in files.values() for path in paths]
+    by_stem = {path.stem: path for path in homes}
+    if len(by_stem) < len(homes):
+        duplicates = sorted({path.stem for path in homes if path != by_stem[path.stem]})
+        raise UserError(
+            f"homes: several files in {folder} have the name {', '.join(duplicates)}; rename all but one"
+        )
+    for stem, path in by_stem.items():  # the name of a level of one home may be that of another home
         other = by_stem.get(stem.rpartition("_")[0])
         if other is not None and stem in _scenes_of(other) and stem in _scenes_of(path):
             raise UserError(
@@ -241,12 +252,12 @@ def _catalogues(folder: str | None) -> tuple[Path, ...]:
     except UserError:
         if folder is not None:
             raise
-        return ()  # homes carry their models; catalogues only help to tell what they are
+        return ()  # homes hold their models; catalogues are needed for labels only
 
 
 @lru_cache(maxsize=4)
 def _known(archives: tuple[Path, ...]) -> tuple[dict[str, Entry], dict[str, str]]:
-    """Entries of catalogues by id, and labels by names in all languages; what two labels share tells nothing."""
+    """Return catalogue entries by id, and labels by names in all languages, without ambiguous names."""
     entries = {entry.id: entry for path in archives for entry in read_catalogue(path).entries}
     labels: dict[str, set[str]] = {}
     for path in archives:
@@ -254,27 +265,28 @@ def _known(archives: tuple[Path, ...]) -> tuple[dict[str, Entry], dict[str, str]
             label = entry_label(entries[key]) if key in entries else None
             for name in names:
                 labels.setdefault(name, set()).add(label or "")
-    return entries, {name: of.pop() for name, of in labels.items() if len(of) == 1 and "" not in of}
+    unambiguous = {name: found for name, found in labels.items() if len(found) == 1 and "" not in found}
+    return entries, {name: found.pop() for name, found in unambiguous.items()}
 
 
 class _Models:
-    """The models of one level: each file is read once, however many pieces it is drawn for."""
+    """Models of one level; each file is read once for all its pieces."""
 
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
         self._meshes: dict[str, ObjMesh | str] = {}
         self._triangles = 0
 
-    def of(self, piece: HomePiece) -> Model:
-        """A piece's model.
+    def fit(self, piece: HomePiece) -> Model:
+        """Return the model of a piece, fitted to its size.
 
         Raises:
-            UnfitError: if there is none that is sane, or the home has too many triangles already.
+            UnfitError: if the model is missing or invalid, or the level has more than MAX_TRIANGLES already.
         """
         if piece.model not in self._archive:
-            raise UnfitError(f"the file does not hold its model {piece.model!r}")
+            raise UnfitError(f"the file does not hold the model {piece.model!r}")
         if self._triangles > MAX_TRIANGLES:
-            raise UnfitError(f"the pieces before it have more than {MAX_TRIANGLES} triangles")
+            raise UnfitError(f"earlier pieces of the level have more than {MAX_TRIANGLES} triangles")
         if piece.model not in self._meshes:
             try:
                 self._meshes[piece.model] = read_model(self._archive, piece.model)
@@ -284,24 +296,24 @@ class _Models:
         if isinstance(mesh, str):
             raise UnfitError(mesh)
         self._triangles += len(mesh.faces)
-        return fitted(mesh, piece.size, np.array(piece.turn).reshape(3, 3))
+        return fit_model(mesh, piece.size, np.array(piece.model_rotation).reshape(3, 3))
 
 
-def _made(models: _Models, piece: HomePiece, label: str) -> tuple[Piece, str]:
-    """A piece from its model, else a box of its size, and which of them with the reason."""
+def _build_piece(models: _Models, piece: HomePiece, label: str) -> tuple[Piece, str]:
+    """Return a piece with its model, else a box of its size, and which of the two with the reason."""
     name = label or piece.name or "thing"
     try:
-        made, drawn = _modelled(models.of(piece), piece, name), "its model"
+        built, drawn_as = _with_model(models.fit(piece), piece, name), "its model"
     except UnfitError as error:
         solid = Assembly(name, piece.key)
         solid.add(box(*piece.size), Finish(Material(piece.colour or (0.6, 0.58, 0.55))))
-        made, drawn = solid.finished(), f"a box: {error}"
+        built, drawn_as = solid.finished(), f"a box: {error}"
     if piece.pitch or piece.roll:
-        made = replace(made, vertices=_tilted(made.vertices, piece))
-    return made, drawn
+        built = replace(built, vertices=_tilt(built.vertices, piece))
+    return built, drawn_as
 
 
-def _modelled(model: Model, piece: HomePiece, name: str) -> Piece:
+def _with_model(model: Model, piece: HomePiece, name: str) -> Piece:
     vertices, faces, uv, finishes = model.vertices, model.faces, model.uv, model.finishes
     if piece.mirrored:
         vertices, faces, uv = vertices * np.array([-1, 1, 1], np.float32), faces[:, ::-1], uv[:, ::-1]
@@ -310,10 +322,10 @@ def _modelled(model: Model, piece: HomePiece, name: str) -> Piece:
     return Piece(name, piece.key, vertices, faces, uv, model.face_finish, finishes)
 
 
-def _tilted(vertices: Float[np.ndarray, "n 3"], piece: HomePiece) -> Float[np.ndarray, "n 3"]:
-    """Turned about the width by the pitch, or about the depth by the roll if there is no pitch; stood up again.
+def _tilt(vertices: Float[np.ndarray, "n 3"], piece: HomePiece) -> Float[np.ndarray, "n 3"]:
+    """Rotate vertices about the width axis by the pitch, or about the depth axis by the roll if there is no pitch.
 
-    Elevation and centre are those of the tilted piece, as in Sweet Home 3D's 3D view.
+    Elevation and centre are those of the tilted piece, as in the 3D view of Sweet Home 3D.
     """
     across, angle = (1, piece.pitch) if piece.pitch else (0, piece.roll)
     cos, sin = np.cos(angle), np.sin(angle)
@@ -325,17 +337,17 @@ def _tilted(vertices: Float[np.ndarray, "n 3"], piece: HomePiece) -> Float[np.nd
 
 
 def listing_of_homes(folder: Path) -> list[str]:
-    """What each piece of the homes in a folder became, a line each.
+    """Return a line with the label and model of each piece of the homes in a folder.
 
     Raises:
-        UserError: if the folder holds no home, or one is broken.
+        UserError: if the folder holds no home, or a home is invalid.
     """
     homes = SweetHomes(str(folder), CategoryTable([Category("any", (0, 0, 0))]), 0.2)
     lines = []
-    for split, paths in _shared_out(folder).items():
+    for split, paths in _split_files(folder).items():
         for scene in (name for path in paths for name in _scenes_of(path)):
             lines.append(f"{scene} ({split})")
-            for piece, label, told_by, drawn in homes.became(scene):
+            for piece, label, label_source, drawn_as in homes.piece_reports(scene):
                 name = piece.name or piece.catalogue_id
-                lines.append(f"    {name}: {label or 'nothing'} (by {told_by}), drawn as {drawn}")
+                lines.append(f"    {name}: {label or 'no label'} (by {label_source}), drawn as {drawn_as}")
     return lines

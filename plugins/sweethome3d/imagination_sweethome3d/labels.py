@@ -1,4 +1,4 @@
-"""What a piece of furniture is: from its id and model first, from its name in any language last."""
+"""Labels of pieces of furniture, derived from English ids and names, or from names in any language."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,10 +34,10 @@ RULES: tuple[tuple[str, str], ...] = (
     ("floor_lamp", r"floor (up)?lamp"),
     ("plant", r"\bplant|ficus|bamboo|bonsai|yucca"),
 )  # fmt: skip
-"""Kinds by words in English, the first that fits; "" for what only sounds like furniture."""
+"""Kinds and patterns of English words in order of precedence; "" marks objects only named like furniture."""
 
-LAMPS = {"floor_lamp": r"floor (up)?(lamp|light)"}
-"""Kinds that the first rule would leave out."""
+EXCEPTIONS = {"floor_lamp": r"floor (up)?(lamp|light)"}
+"""Kinds to which the first rule does not apply."""
 
 WORDS: Mapping[str, Sequence[str]] = {
     "": (
@@ -80,32 +80,32 @@ WORDS: Mapping[str, Sequence[str]] = {
     "sofa": ("canapé", "divano", "sofá", "soffa", "диван", "kanapa", "pohovka", "kanapé", "沙发", "ソファ", "소파"),
     "stool": ("tabouret", "*hocker", "sgabello", "taburete", "pall", "*kruk", "*barkruk", "taboret", "табурет"),
 }  # fmt: skip
-"""Names in other languages than English, for furniture that nothing else tells about; those with a star end words."""
+"""Names in other languages for furniture without a known id or model; a leading star allows any prefix."""
 
 BEFORE_ENGLISH = ("", "lounger", "high_chair", "nightstand")
-"""Kinds whose names hold the word for another kind, which may be English too ("table de chevet")."""
+"""Kinds whose names contain the word for another kind, which may be English ("table de chevet")."""
 
 OFFICE = re.compile(r"office|desk|swivel|task|büro|bureau|kantoor|kontor|toimisto", re.IGNORECASE)
 
 
 def label_of(texts: Sequence[str], size: Size) -> str | None:
-    """The procedural homes' label for furniture with these English texts, the most telling first; None if unknown."""
+    """Return the label of furniture with these English texts, in order of precedence, or None if unknown."""
     for text in texts:
         spaced = words_of(text)
         for kind, pattern in RULES:
-            hidden = kind == "" and any(re.search(lamp, spaced) for lamp in LAMPS.values())
-            if not hidden and re.search(pattern, spaced):
+            exempt = kind == "" and any(re.search(exception, spaced) for exception in EXCEPTIONS.values())
+            if not exempt and re.search(pattern, spaced):
                 return by_size(kind, size, bool(OFFICE.search(" ".join(texts)))) if kind else None
     return None
 
 
 def label_of_name(name: str, known: Mapping[str, str], size: Size) -> str | None:
-    """The label of a name in any language: as a catalogue has it, else by single words.
+    """Return the label of a name in any language: by a catalogue, else by single words.
 
     Args:
-        name: of the piece.
-        known: labels by names of catalogues, in lower case.
-        size: of the piece.
+        name: name of the piece.
+        known: labels by lower-case names of catalogues.
+        size: size of the piece, metres.
     """
     folded = name.casefold().strip()
     if folded in known:
@@ -118,11 +118,11 @@ def label_of_name(name: str, known: Mapping[str, str], size: Size) -> str | None
     return by_size(kind, size, bool(OFFICE.search(folded))) if kind else None
 
 
-def only_sounds(texts: Sequence[str]) -> bool:
-    """Whether one of these English texts has a word for furniture and another that says it is none."""
-    hiding, *others = (pattern for _, pattern in RULES)
+def only_named_like_furniture(texts: Sequence[str]) -> bool:
+    """Check whether an English text has a word for furniture and another that excludes furniture."""
+    exclusion, *others = (pattern for _, pattern in RULES)
     return any(
-        re.search(hiding, spaced) and any(re.search(pattern, spaced) for pattern in others)
+        re.search(exclusion, spaced) and any(re.search(pattern, spaced) for pattern in others)
         for spaced in map(words_of, texts)
     )
 
@@ -131,7 +131,7 @@ def _kind_by_words(folded: str, kinds: Iterable[str]) -> str | None:
     for kind in kinds:
         for word in WORDS[kind]:
             plain = word.removeprefix("*")
-            spaced = plain[0] < "\u0590"  # other scripts have no spaces between words
+            spaced = plain[0] < "\u0590"  # scripts with spaces between words
             start = r"\b" if spaced and plain == word else ""
             if re.search(f"{start}{plain}" + (r"\b" if spaced else ""), folded):
                 return kind
@@ -139,7 +139,7 @@ def _kind_by_words(folded: str, kinds: Iterable[str]) -> str | None:
 
 
 def by_size(kind: str, size: Size, office: bool) -> str:
-    """The label of a kind, where it depends on the size or the place."""
+    """Return the label of a kind, which may depend on the size or on the use in an office."""
     width, depth, height = size
     match kind:
         case "chair":
@@ -155,7 +155,7 @@ def by_size(kind: str, size: Size, office: bool) -> str:
 
 
 def words_of(text: str) -> str:
-    """An id or a file's name as words: "eTeks#squareTable" becomes "square table"."""
+    """Return an id or file name as words: "eTeks#squareTable" becomes "square table"."""
     tail = re.split(r"[#/]", text)[-1].removesuffix(".obj")
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|[_\-.]|(?<=\D)(?=\d)", " ", tail)
     return " ".join(spaced.casefold().split())

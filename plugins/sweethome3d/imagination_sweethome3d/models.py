@@ -1,4 +1,4 @@
-"""Furniture models made ready: oriented, scaled to the catalogue's size, checked, in the frame of pieces."""
+"""Preparation of furniture models: checked, rotated and scaled to the catalogue's size, in the frame of pieces."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,17 +10,18 @@ from imagination.scenes.building_blocks.palette import Finish
 from imagination.scenes.scene import Material
 from imagination.utils.errors import UserError
 from imagination_sweethome3d.archives import Archive
-from imagination_sweethome3d.obj import Look, ObjMesh, read_obj
+from imagination_sweethome3d.obj import ObjMaterial, ObjMesh, read_obj
 
-UNEVEN = 1.5
-"""Most that a mesh may be stretched along one axis against another."""
-NOTED = 1.1
-"""Stretch from which it is noted."""
-DEGENERATE = 0.5
-"""Largest share of triangles without area."""
-CLEAR = 0.05
-"""Opacity below which a surface is left out; others are drawn solid."""
+MAX_STRETCH = 1.5
+"""Maximum ratio of the scale factors of two axes."""
+NOTED_STRETCH = 1.1
+"""Ratio of scale factors above which a note is made."""
+MAX_DEGENERATE = 0.5
+"""Maximum fraction of triangles without area."""
+MIN_OPACITY = 0.05
+"""Opacity below which a surface is removed; other surfaces are drawn opaque."""
 MAX_TRIANGLES = 65_000
+"""Maximum number of triangles of a model."""
 
 Range = tuple[float, float]
 
@@ -51,22 +52,22 @@ SIZES: Mapping[str, tuple[Range, Range, Range]] = {
     "floor_lamp": ((0.1, 0.9), (0.1, 0.9), (1.0, 2.0)),
     "plant": ((0.2, 1.2), (0.2, 1.2), (0.35, 2.0)),
 }
-"""Widths, depths and heights that each label may have, metres; what lies outside is no such furniture, or a toy."""
+"""Ranges of width, depth and height of each label, metres."""
 
 
 class UnfitError(UserError):
-    """A model that is left out; the message is the reason."""
+    """Model that cannot be used; the message is the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A mesh in the frame of pieces: x to the right, y to the front, z up, origin on the floor under its middle.
+    """Mesh in the frame of pieces: x to the right, y to the front, z up, origin on the floor below the centre.
 
     Attributes:
-        vertices, faces, uv: triangles, metres; texture coordinates in copies of the texture.
+        vertices, faces, uv: triangles, metres, and their texture coordinates in repetitions of the texture.
         face_finish: row of `finishes` for each face.
-        finishes: looks.
-        notes: what it lacked.
+        finishes: finishes of the surfaces.
+        notes: defects and corrections.
     """
 
     vertices: Float[np.ndarray, "n 3"]
@@ -78,46 +79,46 @@ class Model:
 
 
 def check_size(label: str, size: tuple[float, float, float]) -> None:
-    """Refuse what cannot be a thing of this label.
+    """Check that a size is within the range of its label.
 
     Raises:
-        UnfitError: with the side that is out of range.
+        UnfitError: if a side is out of range.
     """
     for side, value, (low, high) in zip(("width", "depth", "height"), size, SIZES[label], strict=True):
         if not low <= value <= high:
-            raise UnfitError(f"its {side} is {value:.2f} m, expected {low} to {high} m for {label}")
+            raise UnfitError(f"{side}: got {value:.2f} m, expected {low} to {high} m for {label}")
 
 
 def read_model(archive: Archive, name: str) -> ObjMesh:
-    """The mesh of a model as its file has it.
+    """Read the mesh of a model.
 
     Raises:
-        UnfitError: if it is no OBJ file, missing or malformed.
+        UnfitError: if the file is missing, malformed or not OBJ.
     """
     if not name.lower().endswith(".obj"):
-        raise UnfitError(f"its model {name} is no OBJ file")
+        raise UnfitError(f"model: got {name}, expected an OBJ file")
     try:
         return read_obj(archive, name)
     except UserError as error:
         raise UnfitError(str(error)) from error
 
 
-def fitted(mesh: ObjMesh, size: tuple[float, float, float], turn: Float[np.ndarray, "3 3"]) -> Model:
-    """A mesh made ready.
+def fit_model(mesh: ObjMesh, size: tuple[float, float, float], rotation: Float[np.ndarray, "3 3"]) -> Model:
+    """Rotate and scale a mesh to its size in the frame of pieces, and remove invisible faces.
 
     Args:
-        mesh: as its file has it.
-        size: width, depth and height of the catalogue, metres.
-        turn: the catalogue's rotation of the mesh.
+        mesh: mesh of the file.
+        size: width, depth and height, metres.
+        rotation: rotation of the mesh in the catalogue.
 
     Raises:
-        UnfitError: if it is not sane, with the reason.
+        UnfitError: if the mesh is invalid.
     """
     notes = [*mesh.notes]
-    vertices = _scaled(mesh, size, turn, notes)
-    kept = _kept_faces(mesh, vertices, notes)
-    finishes, face_finish, uv = _finishes(mesh, kept)
-    used, faces = np.unique(mesh.faces[kept], return_inverse=True)
+    vertices = _scale(mesh, size, rotation, notes)
+    visible = _visible_faces(mesh, vertices, notes)
+    finishes, face_finish, uv = _finishes(mesh, visible)
+    used, faces = np.unique(mesh.faces[visible], return_inverse=True)
     return Model(
         vertices[used].astype(np.float32),
         faces.reshape(-1, 3).astype(np.int32),
@@ -128,83 +129,87 @@ def fitted(mesh: ObjMesh, size: tuple[float, float, float], turn: Float[np.ndarr
     )
 
 
-def _scaled(
-    mesh: ObjMesh, size: tuple[float, float, float], turn: Float[np.ndarray, "3 3"], notes: list[str]
+def _scale(
+    mesh: ObjMesh, size: tuple[float, float, float], rotation: Float[np.ndarray, "3 3"], notes: list[str]
 ) -> Float[np.ndarray, "n 3"]:
-    """Vertices turned, stretched to the size and stood up, y to the front (catalogue's z) and x accordingly to -x."""
+    """Rotate vertices and scale them to the size, in the frame of pieces.
+
+    The axes x, y, z of the catalogue become -x, z, y.
+    """
     if len(mesh.faces) == 0:
-        raise UnfitError("its mesh has no faces")
+        raise UnfitError("the mesh has no faces")
     if not np.isfinite(mesh.vertices).all():
-        raise UnfitError("its mesh has vertices that are not finite")
-    wanted = np.array([size[0], size[2], size[1]])
-    turned = mesh.vertices @ turn.T
-    choices = [turned]
-    if not np.allclose(turn, np.eye(3), atol=1e-3):
-        choices.append(mesh.vertices)  # in some the rotation is already in the mesh
-    spreads = [_stretch(vertices[mesh.faces.ravel()], wanted) for vertices in choices]
-    best = int(np.argmin(spreads)) if min(spreads) < 0.95 * spreads[0] else 0
-    if spreads[best] > UNEVEN:
+        raise UnfitError("the mesh has vertices that are not finite")
+    target = np.array([size[0], size[2], size[1]])
+    options = [mesh.vertices @ rotation.T]
+    if not np.allclose(rotation, np.eye(3), atol=1e-3):
+        options.append(mesh.vertices)  # some meshes are rotated already
+    ratios = [_stretch(vertices[mesh.faces.ravel()], target) for vertices in options]
+    best = int(np.argmin(ratios)) if min(ratios) < 0.95 * ratios[0] else 0
+    if ratios[best] > MAX_STRETCH:
         raise UnfitError(
-            f"the catalogue's size stretches its mesh {spreads[best]:.2f} times more along one axis than along "
-            f"another, expected at most {UNEVEN}"
+            f"the size stretches the mesh {ratios[best]:.2f} times more along one axis than along another, expected "
+            f"at most {MAX_STRETCH}"
         )
-    if spreads[best] > NOTED:
-        notes.append(f"it is stretched {spreads[best]:.2f} times more along one axis than along another")
+    if ratios[best] > NOTED_STRETCH:
+        notes.append(f"stretched {ratios[best]:.2f} times more along one axis than along another")
     if best == 1:
-        notes.append("the catalogue's rotation is already in the mesh")
-    vertices = choices[best]
+        notes.append("the mesh is rotated already")
+    vertices = options[best]
     corners = vertices[mesh.faces.ravel()]
     low, high = corners.min(axis=0), corners.max(axis=0)
-    standing = (vertices - (low + high) / 2) * (wanted / (high - low))
-    return np.column_stack([-standing[:, 0], standing[:, 2], standing[:, 1] + wanted[1] / 2])
+    scaled = (vertices - (low + high) / 2) * (target / (high - low))
+    return np.column_stack([-scaled[:, 0], scaled[:, 2], scaled[:, 1] + target[1] / 2])
 
 
-def _stretch(corners: Float[np.ndarray, "n 3"], wanted: Float[np.ndarray, "3"]) -> float:
-    """How unevenly the mesh would be scaled; infinite if it is flat."""
+def _stretch(corners: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "3"]) -> float:
+    """Return the largest ratio of the scale factors of two axes; infinite for a flat mesh."""
     extent = corners.max(axis=0) - corners.min(axis=0)
     if (extent <= 0).any():
         return float("inf")
-    factors = wanted / extent
+    factors = target / extent
     return float(factors.max() / factors.min())
 
 
-def _kept_faces(mesh: ObjMesh, vertices: Float[np.ndarray, "n 3"], notes: list[str]) -> np.ndarray:
-    """Faces that have an area and can be seen."""
+def _visible_faces(mesh: ObjMesh, vertices: Float[np.ndarray, "n 3"], notes: list[str]) -> np.ndarray:
+    """Return a mask of the faces that have an area and are not transparent."""
     corners = vertices[mesh.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     solid = area > 1e-10
-    if 1 - solid.mean() > DEGENERATE:
-        raise UnfitError(f"{1 - solid.mean():.0%} of its triangles have no area")
+    if 1 - solid.mean() > MAX_DEGENERATE:
+        raise UnfitError(
+            f"{1 - solid.mean():.0%} of the triangles have no area, expected at most {MAX_DEGENERATE:.0%}"
+        )
     if solid.sum() > MAX_TRIANGLES:
-        raise UnfitError(f"it has {solid.sum()} triangles, expected at most {MAX_TRIANGLES}")
-    opacity = np.array([look.opacity for look in mesh.looks])[mesh.face_look]
+        raise UnfitError(f"got {solid.sum()} triangles, expected at most {MAX_TRIANGLES}")
+    opacity = np.array([material.opacity for material in mesh.materials])[mesh.face_material]
     if (opacity < 1).any():
         notes.append(
-            f"{(opacity < 1).sum()} of {len(opacity)} triangles are transparent and are drawn solid, "
-            f"{(opacity < CLEAR).sum()} of them left out"
+            f"{(opacity < 1).sum()} of {len(opacity)} triangles are transparent and drawn opaque, "
+            f"{(opacity < MIN_OPACITY).sum()} of them removed"
         )
-    kept: np.ndarray = solid & (opacity >= CLEAR)
-    if not kept.any():
-        raise UnfitError("all of it is transparent")
-    return kept
+    visible: np.ndarray = solid & (opacity >= MIN_OPACITY)
+    if not visible.any():
+        raise UnfitError("all faces are transparent")
+    return visible
 
 
-def _finishes(mesh: ObjMesh, kept: np.ndarray) -> tuple[tuple[Finish, ...], np.ndarray, np.ndarray]:
-    """Looks in use as finishes, the row of each kept face, its texture coordinates."""
-    rows, face_finish = np.unique(mesh.face_look[kept], return_inverse=True)
-    uv = mesh.uv[kept]
+def _finishes(mesh: ObjMesh, visible: np.ndarray) -> tuple[tuple[Finish, ...], np.ndarray, np.ndarray]:
+    """Return the materials in use as finishes, the row of each visible face, and its texture coordinates."""
+    rows, face_finish = np.unique(mesh.face_material[visible], return_inverse=True)
+    uv = mesh.uv[visible]
     finishes = []
     for number, row in enumerate(rows.tolist()):
         flat = not np.ptp(uv[face_finish == number].reshape(-1, 2), axis=0).any()
-        finishes.append(Finish(material_of(mesh.looks[row], flat)))
+        finishes.append(Finish(material_of(mesh.materials[row], flat)))
     return tuple(finishes), face_finish, uv
 
 
-def material_of(look: Look, flat: bool) -> Material:
-    """A look as material; a texture whose coordinates are missing (`flat`) gives its mean colour."""
-    if look.texture is None:
-        return Material(look.colour)
+def material_of(material: ObjMaterial, flat: bool) -> Material:
+    """Convert a material; a texture without coordinates (`flat`) becomes its mean colour."""
+    if material.texture is None:
+        return Material(material.colour)
     if flat:
-        red, green, blue = (look.texture.mean(axis=(0, 1)) / 255).tolist()
+        red, green, blue = (material.texture.mean(axis=(0, 1)) / 255).tolist()
         return Material((red, green, blue))
-    return Material((1.0, 1.0, 1.0), look.texture)
+    return Material((1.0, 1.0, 1.0), material.texture)

@@ -1,4 +1,4 @@
-"""The building of one level of a home as a piece: floors, ceilings, walls with their openings."""
+"""Building of one level of a home: floors, ceilings and walls with openings."""
 
 from collections.abc import Sequence
 
@@ -12,22 +12,23 @@ from imagination.scenes.scene import Material
 from imagination.utils.errors import UserError
 from imagination_sweethome3d.home_file import Colour, HomePiece, Level, Room, Wall
 
-SILL = 0.15
-"""Highest foot of an opening that is a door, metres: windows are closed by a pane, doors stand open."""
+MAX_DOOR_SILL = 0.15
+"""Maximum height of the bottom of a door, metres; doors are open, and higher openings are windows with a pane."""
 GLASS = (0.80, 0.88, 0.95)
+"""Colour of window panes, RGB in [0, 1]."""
 MAX_PARTS = 50_000
-"""Most boxes that the walls of a level may be made of."""
+"""Maximum number of boxes of the walls of a level."""
 MAX_PAIRS = 1_000_000
-"""Most pairs of a wall and an opening of a level: each is looked at."""
-AT_WALL = 0.35
-"""Farthest that an opening's middle may lie from a wall's, metres."""
+"""Maximum number of pairs of a wall and an opening of a level."""
+MAX_OFFSET = 0.35
+"""Maximum distance of the centre of an opening from the centre line of its wall, metres."""
 
 
 def build_shell(level: Level) -> Piece:
-    """Everything of a level that is not furniture, its floor at height 0.
+    """Build the floors, ceilings and walls of a level, with the floor at height 0.
 
     Raises:
-        UserError: if it has more walls and openings than a home has, or a room that cannot be filled.
+        UserError: if the level has too many walls and openings, or mapbox_earcut is not installed.
     """
     if len(level.walls) * len(level.openings) > MAX_PAIRS:
         raise UserError(
@@ -40,8 +41,8 @@ def build_shell(level: Level) -> Piece:
     def finish(colour: Colour) -> Finish:
         return finishes.setdefault(colour, Finish(Material(colour)))
 
-    for room in level.rooms or (_around(level.walls),):
-        floor = triangulated(room)
+    for room in level.rooms or (_bounding_room(level.walls),):
+        floor = triangulate(room)
         shell.add(floor, finish(room.floor))
         if room.has_ceiling:
             shell.add(
@@ -52,17 +53,17 @@ def build_shell(level: Level) -> Piece:
     return shell.finished()
 
 
-def triangulated(room: Room) -> Solid:
-    """A room's floor: a polygon without holes as triangles that look up.
+def triangulate(room: Room) -> Solid:
+    """Triangulate the floor of a room, a polygon without holes, with normals upwards.
 
     Raises:
-        UserError: if the extra is not installed, or its outline encloses nothing.
+        UserError: if mapbox_earcut is not installed.
     """
     try:
         from mapbox_earcut import triangulate_float64
     except ImportError as error:
         raise UserError(
-            "homes of Sweet Home 3D need mapbox_earcut: pip install 'imagination[sweethome3d]'"
+            "homes of Sweet Home 3D require mapbox_earcut: pip install 'imagination[sweethome3d]'"
         ) from error
     points = np.array(room.outline, np.float64)
     faces = triangulate_float64(points, np.array([len(points)], np.uint32)).astype(np.int64).reshape(-1, 3)
@@ -74,8 +75,8 @@ def triangulated(room: Room) -> Solid:
     return Solid(vertices, faces)
 
 
-def _around(walls: Sequence[Wall]) -> Room:
-    """The smallest rectangle around the walls, where no room was drawn."""
+def _bounding_room(walls: Sequence[Wall]) -> Room:
+    """Return the smallest rectangle around the walls of a level without rooms."""
     points = np.array([end for wall in walls for end in (wall.start, wall.end)], np.float32)
     corners = cv2.boxPoints(cv2.minAreaRect(points)).astype(float)
     outline = tuple((float(x), float(y)) for x, y in corners)
@@ -85,7 +86,7 @@ def _around(walls: Sequence[Wall]) -> Room:
 def _add_wall(
     shell: Assembly, wall: Wall, openings: Sequence[HomePiece], finish: Finish, glass: Finish
 ) -> None:
-    """A wall as boxes around its openings: its side is cut at all their edges, and what lies in one is left out."""
+    """Add a wall as boxes: split it at all edges of its openings and leave out the boxes inside an opening."""
     start, end = np.array(wall.start), np.array(wall.end)
     length = float(np.hypot(*(end - start)))
     along = (end - start) / length
@@ -95,7 +96,8 @@ def _add_wall(
     cuts_z = np.unique(np.clip([0.0, wall.height, *(z for hole in holes for z in hole[2:])], 0, wall.height))
     if len(shell.parts) + len(cuts_s) * len(cuts_z) > MAX_PARTS:
         raise UserError(
-            f"walls and their {len(openings)} doors and windows take more than {MAX_PARTS} boxes, no home has as many"
+            f"walls: got more than {MAX_PARTS} boxes around {len(openings)} doors and windows, expected at most "
+            f"{MAX_PARTS}"
         )
     for s0, s1 in zip(cuts_s[:-1], cuts_s[1:], strict=True):
         for z0, z1 in zip(cuts_z[:-1], cuts_z[1:], strict=True):
@@ -104,7 +106,7 @@ def _add_wall(
                 x, y = start + along * s
                 shell.add(box(s1 - s0, wall.thickness, z1 - z0), finish, (x, y, z0), yaw)
     for s0, s1, z0, z1 in holes:
-        if z0 > SILL:
+        if z0 > MAX_DOOR_SILL:
             x, y = start + along * (s0 + s1) / 2
             shell.add(box(s1 - s0, 0.01, z1 - z0), glass, (x, y, z0), yaw)
 
@@ -112,12 +114,12 @@ def _add_wall(
 def _hole(
     piece: HomePiece, wall: Wall, start: np.ndarray, along: np.ndarray, length: float
 ) -> tuple[float, float, float, float] | None:
-    """From where to where along a wall and up it a door or window reaches; None if it is in another wall."""
+    """Return the range of a door or window along a wall and of its height, or None if it is in another wall."""
     offset = np.array(piece.centre) - start
     s, off = float(offset @ along), float(along[0] * offset[1] - along[1] * offset[0])
     direction = np.array([np.cos(piece.yaw), np.sin(piece.yaw)])
     parallel = abs(float(direction @ along)) > 0.95
     half = piece.size[0] / 2
-    if not parallel or abs(off) > max(AT_WALL, wall.thickness) or s + half <= 0 or s - half >= length:
+    if not parallel or abs(off) > max(MAX_OFFSET, wall.thickness) or s + half <= 0 or s - half >= length:
         return None
     return s - half, s + half, piece.elevation, piece.elevation + piece.size[2]

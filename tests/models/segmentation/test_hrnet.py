@@ -1,4 +1,4 @@
-"""HRNetV2 and its training: shapes, what reaches the head, that it learns, and what is logged."""
+"""HRNetV2 and its LightningModule: shapes, gradients, training and logging."""
 
 from functools import partial
 
@@ -26,15 +26,15 @@ def module(**options: float) -> LitSegmentation:
 
 
 def batch(views: int = 2, seed: int = 0) -> dict[str, Tensor]:
-    """A chair is red, a bed is green."""
+    """Return a batch in which chairs are red and beds are green."""
     generator = torch.Generator().manual_seed(seed)
-    truth = (
+    gt = (
         torch.randint(0, 3, (views, 4, 4), generator=generator)
         .repeat_interleave(8, 1)
         .repeat_interleave(8, 2)
     )
-    rgb = 200 * torch.stack([truth == 1, truth == 2, truth == 3], dim=1).to(torch.uint8)
-    return {"rgb": rgb, "segmentation": truth.to(torch.uint8)}
+    rgb = 200 * torch.stack([gt == 1, gt == 2, gt == 3], dim=1).to(torch.uint8)
+    return {"rgb": rgb, "segmentation": gt.to(torch.uint8)}
 
 
 def test_all_four_resolutions_reach_the_head() -> None:
@@ -54,32 +54,32 @@ def test_all_four_resolutions_reach_the_head() -> None:
 
 
 def test_branches_are_fused_bilinearly() -> None:
-    """As nn.Upsample does it when it is told to; timm's networks take the nearest value."""
-    network, alike = (
+    """The reference uses nn.Upsample in bilinear mode, since timm's networks use nearest-neighbour interpolation."""
+    network, reference = (
         HRNetV2(NAME, 5).eval().encoder,
         timm.create_model(NAME, features_only=True, feature_location="", out_indices=(1, 2, 3, 4)).eval(),
     )
-    alike.load_state_dict(network.state_dict())
-    alike.to(memory_format=torch.channels_last)
-    for part in alike.modules():
+    reference.load_state_dict(network.state_dict())
+    reference.to(memory_format=torch.channels_last)
+    for part in reference.modules():
         if isinstance(part, nn.Upsample):
             part.mode, part.align_corners = "bilinear", False
     image = torch.rand(2, 3, 64, 96, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
-        for found, expected in zip(network(image), alike(image), strict=True):
-            torch.testing.assert_close(found, expected)
+        for actual, expected in zip(network(image), reference(image), strict=True):
+            torch.testing.assert_close(actual, expected)
 
 
 @pytest.mark.parametrize(
     ("size", "enlarge", "expected"), [((48, 40), 1.0, (16, 16)), ((48, 40), 2.0, (24, 24))]
 )
-def test_images_of_any_size_will_do(size: tuple[int, int], enlarge: float, expected: tuple[int, int]) -> None:
+def test_images_of_any_size_work(size: tuple[int, int], enlarge: float, expected: tuple[int, int]) -> None:
     network = HRNetV2(NAME, 3, enlarge).eval()
     with torch.no_grad():
         assert network(torch.zeros(1, 3, *size, dtype=torch.uint8)).shape == (1, 3, *expected)
 
 
-def test_one_batch_can_be_learnt_by_heart_and_segmenting_leaves_no_trace() -> None:
+def test_a_network_can_overfit_one_batch_and_segmenting_has_no_side_effects() -> None:
     trained, views = module(), batch()
     optimizer = trained.configure_optimizers()["optimizer"]
     for _ in range(60):
@@ -88,15 +88,15 @@ def test_one_batch_can_be_learnt_by_heart_and_segmenting_leaves_no_trace() -> No
         loss.backward()
         optimizer.step()
     before = {name: value.clone() for name, value in trained.state_dict().items()}
-    found = trained.segment(views["rgb"], 32, 32)
-    assert (found == views["segmentation"]).float().mean() > 0.9
-    assert trained.segment(views["rgb"], 16, 64).shape == (2, 16, 64)  # the depth's size
+    predicted = trained.segment(views["rgb"], 32, 32)
+    assert (predicted == views["segmentation"]).float().mean() > 0.9
+    assert trained.segment(views["rgb"], 16, 64).shape == (2, 16, 64)  # the size of the depth image
     assert trained.training and all(
         torch.equal(value, before[name]) for name, value in trained.state_dict().items()
     )
 
 
-def test_mirrored_answers_are_the_mean_of_both_looks() -> None:
+def test_tta_hflip_is_the_mean_over_both_flips() -> None:
     trained, views = module(), batch()["rgb"]
     trained(views), trained.eval()
     with torch.no_grad():
@@ -119,10 +119,10 @@ def test_scores_are_those_of_the_pixels() -> None:
     trained.eval()
     pairs = [(trained.segment(one["rgb"], 32, 32), one["segmentation"]) for one in (batch(2, 1), batch(3, 2))]
     ious = []
-    for place, name in ((1, "chair"), (2, "bed")):
-        both = sum(int(((found == place) & (truth == place)).sum()) for found, truth in pairs)
-        either = sum(int(((found == place) | (truth == place)).sum()) for found, truth in pairs)
-        ious.append(both / either)
+    for index, name in ((1, "chair"), (2, "bed")):
+        intersection = sum(int(((predicted == index) & (gt == index)).sum()) for predicted, gt in pairs)
+        union = sum(int(((predicted == index) | (gt == index)).sum()) for predicted, gt in pairs)
+        ious.append(intersection / union)
         assert logged[f"val/iou_{name}"] == pytest.approx(ious[-1], abs=1e-6)
     assert logged["val/iou"] == pytest.approx(sum(ious) / 2, abs=1e-6)
     assert {"train/loss", "train/learning_rate", "val/precision_bed", "val/recall_chair"} <= set(logged)
@@ -145,7 +145,7 @@ def test_an_accumulated_batch_trains_as_a_whole_one() -> None:
 
 
 class Pixels(nn.Module):
-    """Without batch normalisation, whose statistics are those of a part."""
+    """Network without batch normalisation, whose statistics would be those of a micro-batch."""
 
     def __init__(self, classes: int) -> None:
         super().__init__()
@@ -155,7 +155,7 @@ class Pixels(nn.Module):
         return self.layer(rgb / 255)
 
 
-def test_a_network_that_timm_does_not_have_is_refused() -> None:
+def test_an_unknown_network_of_timm_is_refused() -> None:
     with pytest.raises(
         UserError, match=r"model\.network\.name: got 'hrnet_w17', expected one of: .*hrnet_w48"
     ):

@@ -1,11 +1,11 @@
-"""Every parser of foreign files, with valid examples to start from. A new parser is one line of one of these files."""
+"""Parsers of untrusted files with valid examples. Add a parser as one line of one of these modules."""
 
-from tests.robustness.parsers import cdr, corpora, homes, maps, recordings, results, runs, scans, units
+from tests.robustness.parsers import cdr, homes, maps, recordings, results, runs, scans, shards, units
 from tests.robustness.parsers.parser import Parser as Parser
 
 PARSERS = [
     *runs.PARSERS,
-    *corpora.PARSERS,
+    *shards.PARSERS,
     *units.PARSERS,
     *recordings.PARSERS,
     *cdr.PARSERS,

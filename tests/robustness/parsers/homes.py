@@ -11,7 +11,7 @@ from PIL import Image
 
 from imagination.config.plugin_registry import activate
 from tests.helpers import sweet_home
-from tests.robustness.parsers.parser import SPLIT, Parser, within
+from tests.robustness.parsers.parser import SPLIT, Parser, in_archive
 
 activate()
 
@@ -39,19 +39,19 @@ def archive(path: Path) -> object:
 
 def model(path: Path) -> object:
     """Read and fit a model."""
-    from imagination_sweethome3d.archives import opened
-    from imagination_sweethome3d.models import fitted, read_model
+    from imagination_sweethome3d.archives import open_archive
+    from imagination_sweethome3d.models import fit_model, read_model
 
-    with opened(path) as archive:
-        return fitted(read_model(archive, "m.obj"), (0.45, 0.45, 0.9), np.eye(3))
+    with open_archive(path) as archive:
+        return fit_model(read_model(archive, "m.obj"), (0.45, 0.45, 0.9), np.eye(3))
 
 
 @cache
 def files() -> dict[str, list[bytes]]:
-    """Valid files of each kind."""
+    """Return valid files of each kind."""
     with tempfile.TemporaryDirectory() as folder:
         packed = sweet_home.write_catalogue(Path(folder) / "a.sh3f").read_bytes()
-        whole = sweet_home.write_scene(Path(folder) / "a.sh3d").read_bytes()
+        home_file = sweet_home.write_home(Path(folder) / "a.sh3d").read_bytes()
     pictures = [io.BytesIO() for _ in FORMATS]
     for picture, kind in zip(pictures, FORMATS, strict=True):
         Image.new("RGB", (4, 4), (200, 100, 0)).save(picture, kind)
@@ -62,7 +62,7 @@ def files() -> dict[str, list[bytes]]:
         "plan": [sweet_home.home_xml(sweet_home.furnished()).encode()],
         "rows": [rows],
         "model": [SPLIT.join([*parts, picture.getvalue()]) for picture in pictures],
-        "home": [whole],
+        "home": [home_file],
         "catalogue": [packed],
     }
 
@@ -72,8 +72,8 @@ FORMATS = "PNG", "JPEG", "GIF", "BMP"
 
 PARSERS = [
     Parser("sh3d", home, lambda: files()["home"]),
-    Parser("sh3d-plan", within(["Home.xml"], "a.zip", home), lambda: files()["plan"]),
+    Parser("sh3d-plan", in_archive(["Home.xml"], "a.zip", home), lambda: files()["plan"]),
     Parser("sh3f", archive, lambda: files()["catalogue"]),
-    Parser("sh3f-rows", within([ROWS], "a.zip", catalogue), lambda: files()["rows"]),
-    Parser("obj", within(["m.obj", "model.mtl", "p.png"], "a.zip", model), lambda: files()["model"]),
+    Parser("sh3f-rows", in_archive([ROWS], "a.zip", catalogue), lambda: files()["rows"]),
+    Parser("obj", in_archive(["m.obj", "model.mtl", "p.png"], "a.zip", model), lambda: files()["model"]),
 ]

@@ -8,7 +8,7 @@ import numpy as np
 from imagination.geometry.grid import Grid
 from imagination.mapping import map_io
 from imagination.mapping.semantic_map import Maps
-from tests.robustness.parsers.parser import Parser, exchanged, kept, resealed
+from tests.robustness.parsers.parser import Parser, resealed, temporary_folder, with_file_replaced
 
 
 def save(folder: Path) -> None:
@@ -30,7 +30,7 @@ def load_objects(folder: Path) -> object:
 
 
 def images() -> list[bytes]:
-    """Of a map, in the other formats that map_server knows."""
+    """Return images of a map in other formats of map_server."""
     shades = np.full((20, 20), 254, np.uint8)
     shades[4:12, 5:9] = 0
     seen = np.where(shades > 0, 255, 0).astype(np.uint8)
@@ -38,13 +38,13 @@ def images() -> list[bytes]:
     return [cv2.imencode(suffix, image)[1].tobytes() for suffix, image in kinds]
 
 
-MAP = kept(save)
+MAP = temporary_folder(save)
 
 PARSERS = [
-    Parser("map-map.yaml", *exchanged(MAP, "map.yaml", load_layer)),
-    Parser("map-map.pgm", *exchanged(MAP, "map.pgm", load_layer)),
-    Parser("map-image", exchanged(MAP, "map.pgm", load_layer)[0], images),
-    Parser("map-semantic.npz", *exchanged(MAP, map_io.SEMANTIC, map_io.load_maps)),
-    Parser("map-semantic-resealed", *resealed(*exchanged(MAP, map_io.SEMANTIC, map_io.load_maps))),
-    Parser("map-objects.geojson", *exchanged(MAP, map_io.OBJECTS, load_objects)),
+    Parser("map-map.yaml", *with_file_replaced(MAP, "map.yaml", load_layer)),
+    Parser("map-map.pgm", *with_file_replaced(MAP, "map.pgm", load_layer)),
+    Parser("map-image", with_file_replaced(MAP, "map.pgm", load_layer)[0], images),
+    Parser("map-semantic.npz", *with_file_replaced(MAP, map_io.SEMANTIC, map_io.load_maps)),
+    Parser("map-semantic-resealed", *resealed(*with_file_replaced(MAP, map_io.SEMANTIC, map_io.load_maps))),
+    Parser("map-objects.geojson", *with_file_replaced(MAP, map_io.OBJECTS, load_objects)),
 ]

@@ -1,4 +1,4 @@
-"""What a parser is, and what several of them share."""
+"""Interface of parsers under test, and helpers shared by them."""
 
 import atexit
 import io
@@ -17,13 +17,13 @@ Examples = Callable[[], Sequence[bytes]]
 
 
 class Parser(NamedTuple):
-    """One parser.
+    """Parser under test.
 
     Attributes:
-        name: for the command line.
-        parse: reads a file.
-        examples: contents of valid files.
-        documented: what it may raise on others.
+        name: name on the command line.
+        parse: function that reads a file.
+        examples: function that returns the contents of valid files.
+        documented: errors that it may raise for other files.
     """
 
     name: str
@@ -32,47 +32,39 @@ class Parser(NamedTuple):
     documented: tuple[type[Exception], ...] = (UserError,)
 
 
-def kept(make: Callable[[Path], object]) -> Callable[[], Path]:
-    """A folder that is made when it is first asked for, and removed at the end."""
+def temporary_folder(write: Callable[[Path], object]) -> Callable[[], Path]:
+    """Return a function that writes a folder on its first call; the folder is removed at exit."""
 
     @cache
-    def made() -> Path:
+    def folder() -> Path:
         parent = Path(tempfile.mkdtemp())
         atexit.register(shutil.rmtree, parent)
-        make(parent / "made")
-        return parent / "made"
+        write(parent / "written")
+        return parent / "written"
 
-    return made
-
-
-def exchanged(made: Callable[[], Path], name: str, read: Callable[[Path], object]) -> tuple[Parse, Examples]:
-    """What reads a copy of a folder one of whose files is another, and what that file is."""
-
-    def parse(path: Path) -> object:
-        with tempfile.TemporaryDirectory() as scratch:
-            folder = shutil.copytree(made(), Path(scratch) / "copy")
-            shutil.copyfile(path, folder / name)
-            return read(folder)
-
-    return parse, lambda: [(made() / name).read_bytes()]
+    return folder
 
 
-def named(name: str, read: Callable[[Path], object]) -> Parse:
-    """What reads a file under a name."""
+def with_file_replaced(
+    folder: Callable[[], Path], name: str, read: Callable[[Path], object]
+) -> tuple[Parse, Examples]:
+    """Return a parser that reads a copy of a folder with one file replaced, and the valid file as example."""
 
     def parse(path: Path) -> object:
         with tempfile.TemporaryDirectory() as scratch:
-            return read(Path(shutil.copyfile(path, Path(scratch) / name)))
+            copy = shutil.copytree(folder(), Path(scratch) / "copy")
+            shutil.copyfile(path, copy / name)
+            return read(copy)
 
-    return parse
+    return parse, lambda: [(folder() / name).read_bytes()]
 
 
 SPLIT = b"\n####\n"
-"""Between the members of an archive that a file stands for."""
+"""Separator of the members of an archive in one file."""
 
 
-def within(names: Sequence[str], name: str, read: Callable[[Path], object]) -> Parse:
-    """Read an archive of a name whose members with these names are the parts of the file: checksums of archives fit."""
+def in_archive(names: Sequence[str], name: str, read: Callable[[Path], object]) -> Parse:
+    """Return a parser that packs the parts of a file as members of an archive, so that its checksums are valid."""
 
     def parse(path: Path) -> object:
         parts = path.read_bytes().split(SPLIT, len(names) - 1)
@@ -86,11 +78,11 @@ def within(names: Sequence[str], name: str, read: Callable[[Path], object]) -> P
 
 
 def resealed(parse: Parse, examples: Examples) -> tuple[Parse, Examples]:
-    """The same of archives whose members were damaged before they were packed."""
+    """Return a parser of archives whose members are damaged before they are packed, and its example."""
 
     @cache
     def members() -> tuple[list[str], bytes]:
         with zipfile.ZipFile(io.BytesIO(examples()[0])) as archive:
             return archive.namelist(), SPLIT.join(map(archive.read, archive.namelist()))
 
-    return lambda path: within(members()[0], "a.zip", parse)(path), lambda: [members()[1]]
+    return lambda path: in_archive(members()[0], "a.zip", parse)(path), lambda: [members()[1]]

@@ -1,4 +1,4 @@
-"""Parsers of results: folders of runs and sweeps, as a report reads and draws them."""
+"""Parsers of results: folders of runs and sweeps, read and drawn by a report."""
 
 import json
 from collections.abc import Callable
@@ -13,14 +13,14 @@ from imagination.runs import sweep_jobs
 from imagination.runs.sweep_jobs import FILE
 from tests.helpers.run_folders import APPROACHES, CATEGORIES, WIDTHS, make_folder
 from tests.reporting.test_load_run import log
-from tests.robustness.parsers.parser import Parser, exchanged, kept, resealed
+from tests.robustness.parsers.parser import Parser, resealed, temporary_folder, with_file_replaced
 
 MAPS, SINGLES = "maps/test_0000_3m_0.npz", "single_views.npz"
 EVENTS = "tensorboard/events.out.tfevents.1.host.1.0"
 
 
 def write(folder: Path) -> None:
-    """Write an evaluation's folder with every file that a report reads."""
+    """Write the folder of an evaluation with all files that a report reads."""
     make_folder(folder)
     tables = folder / "tables"
     rows = [f"{a},{c},{w:g},0.5,0.25\n" for a in APPROACHES for c in CATEGORIES for w in WIDTHS]
@@ -28,13 +28,13 @@ def write(folder: Path) -> None:
         "".join(["approach,category,cell_width,iou_seen,iou_unseen\n", *rows])
     )
     (tables / "ego.csv").write_text("category,score\nchair,0.5\n")
-    told = {
+    provenance = {
         "command": "python -m imagination.evaluate",
         "hardware": "2 cores",
         "seconds": 12.5,
         "sensor": "ideal",
     }
-    (tables / "provenance.json").write_text(json.dumps(told))
+    (tables / "provenance.json").write_text(json.dumps(provenance))
     log(
         folder / "tensorboard",
         train__loss=[3.0, 2.0],
@@ -45,34 +45,34 @@ def write(folder: Path) -> None:
 
 
 def write_sweep(folder: Path) -> None:
-    """Write a sweep of two members."""
+    """Write a sweep of two jobs."""
     for number in range(2):
         make_folder(folder / str(number), choices=[f"seed={number}"], seed=number)
     rows = [f"{number},key{number},done,0.5,seed={number},\n" for number in range(2)]
     (folder / FILE).write_text("".join(["folder,key,state,score,overrides,problem\n", *rows]))
-    asked = {"overrides": {"task": ["+experiment=made", "seed=0,1"]}, "job": {"name": "train"}}
+    hydra = {"overrides": {"task": ["+experiment=made", "seed=0,1"]}, "job": {"name": "train"}}
     sweeper = {"_target_": "hydra._internal.BasicSweeper", "params": None}
-    (folder / "multirun.yaml").write_text(json.dumps({"hydra": {**asked, "sweeper": sweeper}}))
+    (folder / "multirun.yaml").write_text(json.dumps({"hydra": {**hydra, "sweeper": sweeper}}))
 
 
 def report(*figures: str) -> Callable[[Path], object]:
-    """What makes the page and the tables, and, where nothing was refused, those figures, small: they take long."""
+    """Return a function that renders the page and tables and, if no file is refused, some figures as thumbnails."""
 
     def picture(drawing: Drawing) -> str:
         return str(len(html.png(drawing, "light", 15)[1])) if drawing.stem.startswith(figures) else ""
 
-    def made(folder: Path) -> object:
+    def render(folder: Path) -> object:
         content = read(folder)
         for table in (table for section in content.sections for table in section.layouts):
             to_csv(table), to_markdown(table), to_latex(table)
-        drawn = (lambda _: "") if content.problems else picture
+        draw = (lambda _: "") if content.problems else picture
         template = html.environment().get_template("page.html.j2")
-        return template.render(content=content, picture=drawn, colours=THEMES)
+        return template.render(content=content, picture=draw, colours=THEMES)
 
-    return made
+    return render
 
 
-RESULTS, SWEEP = kept(write), kept(write_sweep)
+RESULTS, SWEEP = temporary_folder(write), temporary_folder(write_sweep)
 
 TABLES = {
     "trials.csv": report("distribution", "maps"),
@@ -83,18 +83,18 @@ maps = report("maps", "viewpoints", "precision_recall_maps", "reliability_maps")
 single_views, sweep = report("single"), report("ablation")
 
 PARSERS = [
-    Parser("results-config.yaml", *exchanged(RESULTS, "config.yaml", report())),
+    Parser("results-config.yaml", *with_file_replaced(RESULTS, "config.yaml", report())),
     *(
-        Parser(f"results-{name}", *exchanged(RESULTS, f"tables/{name}", read))
+        Parser(f"results-{name}", *with_file_replaced(RESULTS, f"tables/{name}", read))
         for name, read in TABLES.items()
     ),
-    Parser("results-maps", *exchanged(RESULTS, MAPS, maps)),
-    Parser("results-maps-resealed", *resealed(*exchanged(RESULTS, MAPS, maps))),
-    Parser("results-single-views", *exchanged(RESULTS, SINGLES, single_views)),
-    Parser("results-single-views-resealed", *resealed(*exchanged(RESULTS, SINGLES, single_views))),
-    Parser("results-curves", *exchanged(RESULTS, EVENTS, report("curve"))),
-    Parser("sweep-config.yaml", *exchanged(SWEEP, "1/config.yaml", sweep)),
-    Parser("sweep-jobs.csv", *exchanged(SWEEP, FILE, sweep)),
-    Parser("sweep-resumed", *exchanged(SWEEP, FILE, sweep_jobs.read)),
-    Parser("sweep-multirun.yaml", *exchanged(SWEEP, "multirun.yaml", sweep)),
+    Parser("results-maps", *with_file_replaced(RESULTS, MAPS, maps)),
+    Parser("results-maps-resealed", *resealed(*with_file_replaced(RESULTS, MAPS, maps))),
+    Parser("results-single-views", *with_file_replaced(RESULTS, SINGLES, single_views)),
+    Parser("results-single-views-resealed", *resealed(*with_file_replaced(RESULTS, SINGLES, single_views))),
+    Parser("results-curves", *with_file_replaced(RESULTS, EVENTS, report("curve"))),
+    Parser("sweep-config.yaml", *with_file_replaced(SWEEP, "1/config.yaml", sweep)),
+    Parser("sweep-jobs.csv", *with_file_replaced(SWEEP, FILE, sweep)),
+    Parser("sweep-resumed", *with_file_replaced(SWEEP, FILE, sweep_jobs.read)),
+    Parser("sweep-multirun.yaml", *with_file_replaced(SWEEP, "multirun.yaml", sweep)),
 ]

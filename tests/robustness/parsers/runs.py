@@ -1,4 +1,4 @@
-"""Parsers of what training leaves: configs, checkpoints, the cache."""
+"""Parsers of the files of a training: configs, checkpoints, cache entries."""
 
 import hashlib
 import shutil
@@ -13,13 +13,13 @@ from omegaconf import OmegaConf
 from imagination.config.compose import compose
 from imagination.config.plugin_registry import Plugin, _examine, check
 from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint
-from imagination.runs.resume import END, _read
+from imagination.runs.resume import END, read_composed_config
 from imagination.utils.cache import MAGIC, DamagedError, decode, encode
 from tests.robustness.parsers.parser import Parser, resealed
 
 
 def sealed(path: Path) -> object:
-    """Decode an entry whose checksum fits, as a stranger would see to."""
+    """Decode an entry with a valid checksum, as an attacker would write it."""
     body = path.read_bytes()
     return decode(MAGIC + hashlib.sha256(body).digest() + body)
 
@@ -36,7 +36,7 @@ def entries() -> list[bytes]:
 
 
 def bodies() -> list[bytes]:
-    """What lies behind the checksum."""
+    """Return the entries without header and checksum."""
     return [entry[len(MAGIC) + hashlib.sha256().digest_size :] for entry in entries()]
 
 
@@ -44,7 +44,7 @@ def bodies() -> list[bytes]:
 def checkpoints() -> list[bytes]:
     config = compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=."])
     config.choices = ["+experiment=chair_unet", "scale=test"]
-    state = {"state_dict": {"weight": torch.zeros(2)}, KEY: ConfigInCheckpoint(config).description}
+    state = {"state_dict": {"weight": torch.zeros(2)}, KEY: ConfigInCheckpoint(config).saved_config}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.ckpt"
         torch.save(state, path)
@@ -54,7 +54,7 @@ def checkpoints() -> list[bytes]:
 @cache
 def configs() -> list[bytes]:
     config = compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=."])
-    config.sweep_dir = None  # as the command leaves it out
+    config.sweep_dir = None  # the command removes it as well
     return [(OmegaConf.to_yaml(config) + END).encode()]
 
 
@@ -63,15 +63,15 @@ def config_of(path: Path) -> object:
 
 
 def plugin(path: Path) -> str:
-    """Look at a plugin with such a config."""
+    """Examine a plugin with this config."""
     with tempfile.TemporaryDirectory() as folder:
         shutil.copyfile(path, Path(folder) / "a.yaml")
-        found = Plugin("p", "here", conf=Path(folder))
-        return _examine(found, {}, {}) or check(found)
+        examined = Plugin("p", "here", conf=Path(folder))
+        return _examine(examined, {}, {}) or check(examined)
 
 
 PARSERS = [
-    Parser("config", _read, configs),
+    Parser("config", read_composed_config, configs),
     Parser(
         "plugin-conf", plugin, lambda: [b"_target_: imagination.utils.errors.UserError\nkey: [1, 2.5, a]\n"]
     ),

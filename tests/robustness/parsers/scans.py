@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imagination.config.plugin_registry import activate
-from tests.robustness.parsers.parser import Parser, exchanged, kept
+from tests.robustness.parsers.parser import Parser, temporary_folder, with_file_replaced
 
 PARSERS: list[Parser] = []
 
@@ -19,15 +19,15 @@ if find_spec("plyfile") is not None and find_spec("trimesh") is not None:  # an 
 
     from tests.helpers import scanned_buildings as buildings
 
-    def scan(name: str, layout: Layout, stem: str, main: str, endings: list[str]) -> list[Parser]:
-        """Read a building of which the file with an ending is exchanged."""
-        made = kept(getattr(buildings, f"write_{name}"))
+    def scan(name: str, layout: Layout, stem: str, main: str, suffixes: list[str]) -> list[Parser]:
+        """Return parsers of a building, one for each file that is replaced."""
+        folder = temporary_folder(getattr(buildings, f"write_{name}"))
         return [
             Parser(
-                f"{name}{end}",
-                *exchanged(made, stem + end, lambda folder: layout.read(folder / (stem + main))),
+                f"{name}{suffix}",
+                *with_file_replaced(folder, stem + suffix, lambda copy: layout.read(copy / (stem + main))),
             )
-            for end in endings
+            for suffix in suffixes
         ]
 
     def lists(path: Path) -> object:

@@ -1,1 +1,1 @@
-"""Floor plans and the building around them."""
+"""Floor plans and the mesh of the building."""

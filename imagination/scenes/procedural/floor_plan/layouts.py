@@ -1,24 +1,24 @@
-"""Drawing floor plans: cells along a corridor or in columns, each given the use that suits it."""
+"""Random floor plans: cells along a corridor or in columns, with a room kind assigned to each cell."""
 
 import numpy as np
 
-from imagination.scenes.procedural.floor_plan.openings import draw_doors, draw_facade, walls_of
+from imagination.scenes.procedural.floor_plan.openings import draw_doors, draw_facade, wall_segments
 from imagination.scenes.procedural.floor_plan.plan import OUTSIDE, WALL, Cell, Plan, Room, RoomKind
 from imagination.utils.errors import UserError
 
 AREA = (40.0, 150.0)
-"""Smallest and largest floor area of a home, square metres."""
+"""Minimum and maximum floor area of a home, square metres."""
 ATTEMPTS = 200
-"""Plans drawn before giving up; about one in three is accepted."""
+"""Maximum number of attempts to draw a plan; about one in three is accepted."""
 
 Rng = np.random.Generator
 
 
 def draw_plan(rng: Rng) -> Plan:
-    """A plan with an area within AREA in which every room can be reached.
+    """Draw a plan with an area within AREA and doors to every room.
 
     Raises:
-        UserError: if none of ATTEMPTS draws gives one.
+        UserError: if no attempt succeeds.
     """
     for _ in range(ATTEMPTS):
         area = float(np.exp(rng.uniform(np.log(AREA[0] * 1.15), np.log(AREA[1]))))
@@ -33,19 +33,19 @@ def draw_plan(rng: Rng) -> Plan:
         if doors is not None:
             openings = (*doors, *draw_facade(rng, cells, rooms))
             return Plan(tuple(rooms), openings, float(rng.uniform(2.45, 2.85)))
-    raise UserError(f"floor plan: none of {ATTEMPTS} draws was usable; use another seed")
+    raise UserError(f"floor plan: got no valid plan in {ATTEMPTS} attempts; use another seed")
 
 
 def _cut(rng: Rng, start: float, end: float, typical: float) -> list[tuple[float, float]]:
-    """Cut a stretch into pieces around `typical` metres long."""
+    """Divide an interval into random pieces of about `typical` metres."""
     count = max(1, round((end - start) / typical))
-    shares = rng.uniform(0.72, 1.28, count).cumsum()
-    edges = [start, *(start + (end - start) * shares / shares[-1])]
+    lengths = rng.uniform(0.72, 1.28, count).cumsum()
+    edges = [start, *(start + (end - start) * lengths / lengths[-1])]
     return [(float(a), float(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
 
 def _along_corridor(rng: Rng, area: float) -> list[Cell]:
-    """A corridor (the first cell) with a row of rooms on each side, and the living rooms across its end."""
+    """Draw a corridor (the first cell) with a row of rooms on each side and living rooms across its end."""
     width, north = rng.uniform(1.25, 1.6), rng.uniform(2.9, 4.2)
     south = rng.uniform(2.9, 4.1) if area > 80 else rng.uniform(2.0, 2.7)
     depth = width + north + south
@@ -54,7 +54,7 @@ def _along_corridor(rng: Rng, area: float) -> list[Cell]:
     cells = [Cell(slab, south, length, south + width)]
     cells += [Cell(a, 0, b, south) for a, b in _cut(rng, slab, length, rng.uniform(2.6, 3.6))]
     cells += [Cell(a, south + width, b, depth) for a, b in _cut(rng, slab, length, rng.uniform(2.9, 3.9))]
-    # the living rooms may stand out beyond the rows, which makes an L
+    # the living rooms may extend beyond the rows, which gives an L-shaped plan
     low, high = (-rng.uniform(0, 1.5), depth) if rng.random() < 0.5 else (0.0, depth + rng.uniform(0, 1.5))
     cells += [Cell(0, a, slab, b) for a, b in _cut(rng, low, high, rng.uniform(3.2, 6.0))]
     mirrored = rng.random() < 0.5
@@ -62,7 +62,7 @@ def _along_corridor(rng: Rng, area: float) -> list[Cell]:
 
 
 def _columns(rng: Rng, area: float) -> list[Cell]:
-    """Rooms that open into each other, without a corridor."""
+    """Draw rooms in columns without a corridor."""
     length = float(np.sqrt(area * rng.uniform(0.9, 1.7)))
     depth = area / length
     return [
@@ -72,7 +72,7 @@ def _columns(rng: Rng, area: float) -> list[Cell]:
     ]
 
 
-WISHES: tuple[tuple[RoomKind, ...], ...] = (
+ROOM_KINDS: tuple[tuple[RoomKind, ...], ...] = (
     ("bedroom",),
     ("bedroom", "kitchen"),
     ("bedroom", "kitchen", "bathroom"),
@@ -83,37 +83,37 @@ WISHES: tuple[tuple[RoomKind, ...], ...] = (
     ("bedroom", "bedroom", "dining", "bedroom", "office", "kitchen", "bathroom", "bathroom"),
     ("bedroom", "bedroom", "dining", "bedroom", "office", "kitchen", "office", "bathroom", "bathroom"),
 )
-"""What the rooms beside living room and corridor are for, by their number, the largest first."""
+"""Kinds of the rooms other than living room and corridor, largest first, by their number."""
 
 
 def _rooms(rng: Rng, cells: list[Cell], corridor: bool) -> list[Room] | None:
-    """Give each cell a use: several orders are tried, and the best by `_suits` is kept."""
+    """Assign a kind to each cell: draw several assignments and return the best by `_score`, or None."""
     half = WALL / 2
-    bare = [Room("corridor", c.x0 + half, c.y0 + half, c.x1 - half, c.y1 - half) for c in cells]
+    empty = [Room("corridor", c.x0 + half, c.y0 + half, c.x1 - half, c.y1 - half) for c in cells]
     free = list(range(1 if corridor else 0, len(cells)))
-    living = max(free, key=lambda number: bare[number].area)
-    rest = sorted((number for number in free if number != living), key=lambda number: -bare[number].area)
-    if not 1 <= len(rest) <= len(WISHES) or bare[living].area < 11 or bare[rest[0]].area < 7.5:
+    living = max(free, key=lambda number: empty[number].area)
+    rest = sorted((number for number in free if number != living), key=lambda number: -empty[number].area)
+    if not 1 <= len(rest) <= len(ROOM_KINDS) or empty[living].area < 11 or empty[rest[0]].area < 7.5:
         return None
     best, best_score = None, -np.inf
     for _ in range(10):
-        # noise on the sizes mixes rooms of similar area
-        order = sorted(rest, key=lambda number: -bare[number].area * rng.uniform(0.8, 1.2))
+        # noise on the areas swaps rooms of similar size
+        order = sorted(rest, key=lambda number: -empty[number].area * rng.uniform(0.8, 1.2))
         kinds: dict[int, RoomKind] = {living: "living"}
-        kinds |= dict(zip(order, WISHES[len(rest) - 1], strict=True))
-        rooms = [Room(kinds.get(n, "corridor"), r.x0, r.y0, r.x1, r.y1) for n, r in enumerate(bare)]
-        score = _suits(cells, rooms)
+        kinds |= dict(zip(order, ROOM_KINDS[len(rest) - 1], strict=True))
+        rooms = [Room(kinds.get(n, "corridor"), r.x0, r.y0, r.x1, r.y1) for n, r in enumerate(empty)]
+        score = _score(cells, rooms)
         if score > best_score:
             best, best_score = rooms, score
     return best if best_score > 0 else None
 
 
-def _suits(cells: list[Cell], rooms: list[Room]) -> float:
-    """How well rooms suit their uses; not positive if one is impossible."""
+def _score(cells: list[Cell], rooms: list[Room]) -> float:
+    """Return a score of the room kinds; it is not positive if one is impossible."""
     score = 1.0
     for number, room in enumerate(rooms):
-        behind = {
-            rooms[s.other].kind for s in walls_of(cells, number) if s.other != OUTSIDE and s.length > 1.4
+        adjacent = {
+            rooms[s.other].kind for s in wall_segments(cells, number) if s.other != OUTSIDE and s.length > 1.4
         }
         if room.kind == "bedroom" and (room.area < 7.0 or min(room.size) < 2.3):
             score -= 100
@@ -121,8 +121,8 @@ def _suits(cells: list[Cell], rooms: list[Room]) -> float:
             score -= 100
         score += 2.0 * (
             room.kind in ("kitchen", "dining")
-            and bool(behind & {"living", "dining", "kitchen"} - {room.kind})
+            and bool(adjacent & {"living", "dining", "kitchen"} - {room.kind})
         )
         score -= room.area / 10 * (room.kind in ("bathroom", "kitchen"))
-        score += 1.0 * (room.kind == "bedroom" and "corridor" in behind)
+        score += 1.0 * (room.kind == "bedroom" and "corridor" in adjacent)
     return score + 10

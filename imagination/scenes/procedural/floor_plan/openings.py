@@ -1,4 +1,4 @@
-"""Where the walls between cells of a plan are, and which doors, passages and windows they get."""
+"""Wall segments between the cells of a plan, and their doors, passages and windows."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -18,8 +18,8 @@ from imagination.scenes.procedural.floor_plan.plan import (
 Rng = np.random.Generator
 
 
-class Shared(NamedTuple):
-    """A stretch of wall: axis 0 runs along x; `other` is the cell behind it, or OUTSIDE."""
+class WallSegment(NamedTuple):
+    """Segment of a wall: axis 0 is along x; `other` is the cell behind it, or OUTSIDE."""
 
     axis: int
     at: float
@@ -32,8 +32,8 @@ class Shared(NamedTuple):
         return self.end - self.start
 
 
-def walls_of(cells: list[Cell], number: int) -> Iterator[Shared]:
-    """The stretches of wall around a cell, by what is behind them."""
+def wall_segments(cells: list[Cell], number: int) -> Iterator[WallSegment]:
+    """Yield the wall segments around a cell, split by the cells behind them."""
     cell = cells[number]
     for axis, at, start, end in (
         (0, cell.y0, cell.x0, cell.x1),
@@ -41,26 +41,26 @@ def walls_of(cells: list[Cell], number: int) -> Iterator[Shared]:
         (1, cell.x0, cell.y0, cell.y1),
         (1, cell.x1, cell.y0, cell.y1),
     ):
-        pieces = []
+        segments = []
         for other, behind in enumerate(cells):
             if other == number:
                 continue
             low, high = (behind[0], behind[2]) if axis == 0 else (behind[1], behind[3])
             sides = (behind[1], behind[3]) if axis == 0 else (behind[0], behind[2])
             if min(abs(at - side) for side in sides) < 1e-6 and min(end, high) - max(start, low) > 1e-6:
-                pieces.append(Shared(axis, at, max(start, low), min(end, high), other))
-        place = start
-        for piece in sorted(pieces, key=lambda piece: piece.start):
-            if piece.start - place > 1e-6:
-                yield Shared(axis, at, place, piece.start, OUTSIDE)
-            yield piece
-            place = piece.end
-        if end - place > 1e-6:
-            yield Shared(axis, at, place, end, OUTSIDE)
+                segments.append(WallSegment(axis, at, max(start, low), min(end, high), other))
+        position = start
+        for segment in sorted(segments, key=lambda segment: segment.start):
+            if segment.start - position > 1e-6:
+                yield WallSegment(axis, at, position, segment.start, OUTSIDE)
+            yield segment
+            position = segment.end
+        if end - position > 1e-6:
+            yield WallSegment(axis, at, position, end, OUTSIDE)
 
 
-def _wish(first: RoomKind, second: RoomKind) -> float:
-    """How unwelcome a door between two kinds of rooms is: the smaller, the better."""
+def _door_cost(first: RoomKind, second: RoomKind) -> float:
+    """Return the cost of a door between two kinds of rooms."""
     pair = {first, second}
     if pair <= {"living", "dining", "kitchen", "corridor"}:
         return 0.0
@@ -72,57 +72,57 @@ def _wish(first: RoomKind, second: RoomKind) -> float:
 
 
 def draw_doors(rng: Rng, cells: list[Cell], rooms: list[Room]) -> list[Opening] | None:
-    """Doors that join all rooms, the welcome ones first, and now and then one more; None if a room cannot be joined."""
+    """Draw doors that connect all rooms, cheapest first, and some extra doors; return None if a room is unreachable."""
     walls = [
-        (_wish(rooms[number].kind, rooms[wall.other].kind) + rng.uniform(0, 0.9), number, wall)
+        (_door_cost(rooms[number].kind, rooms[wall.other].kind) + rng.uniform(0, 0.9), number, wall)
         for number in range(len(cells))
-        for wall in walls_of(cells, number)
+        for wall in wall_segments(cells, number)
         if wall.other > number and wall.length > 1.0 + 2 * WALL
     ]
-    group = list(range(len(cells)))
-    doors, joined = [], set()
-    for wish, number, wall in sorted(walls):
+    component = list(range(len(cells)))
+    doors, connected = [], set()
+    for cost, number, wall in sorted(walls):
         pair = (number, wall.other)
-        spare = wish < 1.0 and rng.random() < 0.4
-        if pair in joined or (group[number] == group[wall.other] and not spare):
+        extra = cost < 1.0 and rng.random() < 0.4
+        if pair in connected or (component[number] == component[wall.other] and not extra):
             continue
-        joined.add(pair)
-        old, new = group[wall.other], group[number]
-        group = [new if name == old else name for name in group]
+        connected.add(pair)
+        old, new = component[wall.other], component[number]
+        component = [new if name == old else name for name in component]
         doors.append(_door(rng, number, wall, {rooms[number].kind, rooms[wall.other].kind}))
-    return doors if len(set(group)) == 1 else None
+    return doors if len(set(component)) == 1 else None
 
 
-def _door(rng: Rng, number: int, wall: Shared, kinds: set[RoomKind]) -> Opening:
-    """A door in a wall, mostly near one of its ends; between living rooms often a wide passage."""
+def _door(rng: Rng, number: int, wall: WallSegment, kinds: set[RoomKind]) -> Opening:
+    """Draw a door in a wall, usually near one of its ends; between living rooms often a wide passage."""
     start, end = wall.start + WALL, wall.end - WALL
     kind: OpeningKind = "door"
     width, high = rng.uniform(0.85, 1.0), 2.05
     wide = min(rng.uniform(1.1, 2.2), (end - start) * 0.8)
     if kinds <= {"living", "dining", "kitchen", "corridor"} and wide > 1.0 and rng.random() < 0.6:
         kind, width, high = "passage", wide, rng.uniform(2.05, 2.3)
-    spare = end - start - width
-    near = min(spare, rng.uniform(0.1, 0.3)) if rng.random() < 0.7 else spare * rng.random()
-    low = start + (near if rng.random() < 0.5 else spare - near)
+    slack = end - start - width
+    near = min(slack, rng.uniform(0.1, 0.3)) if rng.random() < 0.7 else slack * rng.random()
+    low = start + (near if rng.random() < 0.5 else slack - near)
     return Opening(kind, (number, wall.other), wall.axis, wall.at, low, low + width, 0.0, high)
 
 
 def draw_facade(rng: Rng, cells: list[Cell], rooms: list[Room]) -> list[Opening]:
-    """Windows in the outer walls, and the entrance."""
+    """Draw windows in the outer walls, and the entrance."""
     openings = []
     order = sorted(
         range(len(rooms)), key=lambda n: {"corridor": 0, "living": 1, "kitchen": 2}.get(rooms[n].kind, 3)
     )
-    entered = False
+    has_entrance = False
     for number in order:
         kind = rooms[number].kind
-        for wall in walls_of(cells, number):
+        for wall in wall_segments(cells, number):
             start, end = wall.start + 0.35, wall.end - 0.35
             if wall.other != OUTSIDE or end - start < 0.6:
                 continue
-            if not entered and end - start > 0.95:
+            if not has_entrance and end - start > 0.95:
                 low = start + (end - start - 0.95) * rng.choice([0.0, 1.0])
-                entered = True
+                has_entrance = True
                 openings.append(
                     Opening("entrance", (number, OUTSIDE), wall.axis, wall.at, low, low + 0.95, 0.0, 2.05)
                 )

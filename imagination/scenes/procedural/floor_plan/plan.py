@@ -1,4 +1,4 @@
-"""Floor plans: rooms side by side, what each is for, and the openings between them."""
+"""Data classes of floor plans: rooms, their kinds, and the openings between them."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -9,10 +9,11 @@ OpeningKind = Literal["door", "passage", "window", "entrance"]
 WALL = 0.12
 """Thickness of inner walls, metres."""
 OUTSIDE = -1
+"""Index of the outside in place of a room."""
 
 
 class Cell(NamedTuple):
-    """An upright rectangle, metres; of a room: between the middles of its walls."""
+    """Axis-aligned rectangle, metres; for a room, between the centre lines of its walls."""
 
     x0: float
     y0: float
@@ -20,13 +21,13 @@ class Cell(NamedTuple):
     y1: float
 
     def meets(self, other: "Cell") -> bool:
-        """Whether two rectangles overlap."""
+        """Return whether two rectangles overlap."""
         return bool(self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1)
 
 
 @dataclass(frozen=True)
 class Room:
-    """A rectangular room, between the surfaces of its walls, metres."""
+    """Rectangular room between the surfaces of its walls, metres."""
 
     kind: RoomKind
     x0: float
@@ -45,15 +46,15 @@ class Room:
 
 @dataclass(frozen=True)
 class Opening:
-    """A hole in a wall.
+    """Opening in a wall.
 
     Attributes:
-        kind: entrances are shut, windows show a bright pane.
-        rooms: the rooms it joins, or a room and OUTSIDE.
-        axis: 0 if the wall runs along x, 1 if along y.
-        at: the other coordinate of the wall's middle.
-        start, end: along the wall.
-        low, high: heights above the floor.
+        kind: kind of the opening; entrances are closed, windows have a bright pane.
+        rooms: the two adjacent rooms, or a room and OUTSIDE.
+        axis: 0 if the wall is along x, 1 if along y.
+        at: other coordinate of the centre line of the wall, metres.
+        start, end: interval along the wall, metres.
+        low, high: heights above the floor, metres.
     """
 
     kind: OpeningKind
@@ -73,7 +74,13 @@ class Opening:
 
 @dataclass(frozen=True)
 class Plan:
-    """One floor."""
+    """Floor plan of one storey.
+
+    Attributes:
+        rooms: rooms of the storey.
+        openings: openings in their walls.
+        ceiling: height of the ceiling, metres.
+    """
 
     rooms: tuple[Room, ...]
     openings: tuple[Opening, ...]
@@ -85,12 +92,12 @@ class Plan:
         return sum(room.area for room in self.rooms)
 
     def openings_of(self, room: int) -> list[Opening]:
-        """Openings in a room's walls."""
+        """Return the openings in the walls of a room."""
         return [opening for opening in self.openings if room in opening.rooms]
 
 
 def before(opening: Opening, room: Room, depth: float, margin: float = 0.0) -> Cell:
-    """The floor of a room before an opening in its wall, `depth` deep; `margin` is added at each end."""
+    """Return the floor area of a room in front of an opening, `depth` deep; `margin` is added at each end."""
     start, end = opening.start - margin, opening.end + margin
     if opening.axis == 0:
         low = room.y0 if opening.at < room.y0 else room.y1 - depth

@@ -1,1 +1,1 @@
-"""Which furniture goes into a room, and where."""
+"""Furnishing: selection and placement of furniture in rooms."""

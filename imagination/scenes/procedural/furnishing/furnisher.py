@@ -1,4 +1,4 @@
-"""Finding places for things in one room."""
+"""Search for positions of furniture in one room."""
 
 from collections.abc import Sequence
 
@@ -10,13 +10,13 @@ from imagination.scenes.procedural.furnishing.placement import RoomFloor, extent
 from imagination.scenes.procedural.furniture.stock import Stock
 
 TRIES = 24
-"""Places tried for a thing before the room goes without it."""
+"""Maximum number of positions tried for a piece before it is left out."""
 ALONG = np.array([0.0, 1.0, 0.5])
-"""Where along a wall things like to stand: in its corners and in its middle."""
+"""Preferred positions along a wall, as fractions of the free length: corners and centre."""
 
 
 class Furnisher:
-    """Places things in one room by rules, as far as they fit."""
+    """Furnisher of one room; pieces that do not fit are left out."""
 
     def __init__(self, floor: RoomFloor, stock: Stock) -> None:
         self.floor = floor
@@ -31,24 +31,24 @@ class Furnisher:
         tries: int = TRIES,
         sides: Sequence[int] = (0, 1, 2, 3),
     ) -> int | None:
-        """Put a group with its back to a wall, and its chairs as far as they fit.
+        """Place a group with its back to a wall, with those of its chairs that fit.
 
         Args:
-            group: in its own frame.
-            chairs: pushed under the group's first thing.
-            clear: depth of the floor before the group on which nothing may stand later, metres.
-            tries: places tried.
-            sides: walls to choose from, as in `wall_pose`.
+            group: pieces in the frame of the group.
+            chairs: chairs under the first piece of the group.
+            clear: depth of the floor in front of the group that is kept clear, metres.
+            tries: maximum number of positions tried.
+            sides: walls to draw from, as in `wall_pose`.
 
         Returns:
-            the wall, None if the group fitted nowhere.
+            The wall, or None if the group does not fit.
         """
         standing = [obj for obj in group if obj.z == 0 and not is_flat(obj)]
         low, high = extent(standing)
         for _ in range(tries):
             side = int(self.rng.choice(sides))
-            share = float(self.rng.choice(ALONG)) if self.rng.random() < 0.6 else float(self.rng.random())
-            pose = wall_pose(self.floor.room, side, share, low, high, float(self.rng.uniform(0.02, 0.05)))
+            fraction = float(self.rng.choice(ALONG)) if self.rng.random() < 0.6 else float(self.rng.random())
+            pose = wall_pose(self.floor.room, side, fraction, low, high, float(self.rng.uniform(0.02, 0.05)))
             if pose is None:
                 continue
             placed = moved(group, *pose)
@@ -64,11 +64,11 @@ class Furnisher:
     def freely(
         self, group: Sequence[Placed], chairs: Sequence[Placed] = (), tries: int = TRIES, turned: bool = False
     ) -> bool:
-        """Put a group anywhere in the room, square to its walls or `turned` by any angle."""
+        """Place a group anywhere in the room, aligned with its walls or `turned` by any angle."""
         room = self.floor.room
         for _ in range(tries):
             yaw = float(self.rng.uniform(-np.pi, np.pi) if turned else self.rng.integers(4) * np.pi / 2)
-            # nearer to the middle than to the walls
+            # positions near the centre of the room are more likely
             x = room.x0 + room.size[0] * float(self.rng.beta(2.5, 2.5))
             y = room.y0 + room.size[1] * float(self.rng.beta(2.5, 2.5))
             if self._put(moved(group, x, y, yaw), moved(chairs, x, y, yaw)):
@@ -76,8 +76,8 @@ class Furnisher:
         return False
 
     def _put(self, objects: list[Placed], chairs: list[Placed]) -> bool:
-        """Let things stand where they are with those of their chairs that fit; refuse if most of these do not."""
-        # a rug that does not fit is left out, the rest stays
+        """Place objects at their poses with the chairs that fit; return False if most of the chairs do not fit."""
+        # a rug that does not fit is left out
         objects = [obj for obj in objects if not is_flat(obj) or self.floor.inside(obj.footprint())]
         if not self.floor.fits(objects):
             return False
@@ -90,16 +90,16 @@ class Furnisher:
         return True
 
     def stand(self, label: str, chance: float = 1.0, clear: float = 0.0, topped: Sequence[str] = ()) -> None:
-        """By chance, put one thing against a wall, with smaller things on it."""
+        """With a probability, place one piece against a wall, with smaller objects on it."""
         if self.stock.chance(chance):
             obj = Placed(self.stock.piece(label))
             self.against_wall([obj, *on_top_of(obj, self.stock, topped, 0.4)], clear=clear)
 
     def loose(self, label: str, chance: float = 1.0) -> None:
-        """By chance, put one thing somewhere, turned by any angle: near a wall or in the room."""
+        """With a probability, place one piece near a wall or anywhere in the room, turned by any angle."""
         if not self.stock.chance(chance):
             return
-        # the pose of its own frame is turned, so that its back is not quite against the wall
+        # rotated in the frame of the group, so that its back is not exactly parallel to the wall
         obj = Placed(self.stock.piece(label), 0.0, 0.0, float(self.rng.normal(0, 0.35)))
         if self.stock.chance(0.65):
             self.against_wall([obj])
@@ -107,13 +107,13 @@ class Furnisher:
             self.freely([obj], turned=True)
 
     def hang(self, count: int) -> None:
-        """Hang pictures where the wall is free."""
+        """Place up to `count` pictures on free parts of the walls."""
         for _ in range(count):
             picture = self.stock.piece("picture")
             height = float(self.rng.uniform(1.25, 1.5))
             for _ in range(6):
-                side, share = int(self.rng.integers(4)), float(self.rng.uniform(0.15, 0.85))
-                pose = wall_pose(self.floor.room, side, share, picture.low[:2], picture.high[:2], 0.003)
+                side, fraction = int(self.rng.integers(4)), float(self.rng.uniform(0.15, 0.85))
+                pose = wall_pose(self.floor.room, side, fraction, picture.low[:2], picture.high[:2], 0.003)
                 if pose is None:
                     continue
                 placed = Placed(picture).within(*pose, height)

@@ -1,4 +1,4 @@
-"""What stands where in a room: nothing overlaps, doors stay clear, and a robot gets from each door to the others."""
+"""Placement in a room without overlap, with clear doors and a path for the robot between all doors."""
 
 from collections.abc import Iterable, Sequence
 
@@ -10,37 +10,39 @@ from imagination.scenes.building_blocks.pieces import Placed, rectangle_at
 from imagination.scenes.procedural.floor_plan.plan import OUTSIDE, Plan, Room, before
 
 CELL = 0.05
-"""Side of the cells in which the way through a room is checked, metres."""
+"""Side of the cells for the check of paths through a room, metres."""
 DOOR_ZONE = 0.85
-"""Depth of the floor kept clear before a door, metres."""
+"""Depth of the floor in front of a door that is kept clear, metres."""
 TALL = 0.95
-"""Height from which furniture does not stand before windows, metres."""
+"""Height above which furniture may not stand in front of windows, metres."""
 FLAT = 0.03
-"""What is lower is walked over: rugs."""
+"""Maximum height of flat objects such as rugs, which do not block the floor, metres."""
 
-FREE_SHARE = 0.15
-"""Share of a room's floor that furniture leaves to the robot's centre."""
+MIN_FREE_FRACTION = 0.15
+"""Minimum fraction of a room's floor that remains free for the centre of the robot."""
 
 Corners = Float[np.ndarray, "4 2"]
 
 
 def overlap(first: Corners, second: Corners) -> bool:
-    """Whether two rectangles overlap, by the separating axis theorem; touching is no overlap."""
+    """Return whether two rectangles overlap, by the separating axis theorem; contact is not overlap."""
     for corners in (first, second):
         axes = np.stack([corners[1] - corners[0], corners[3] - corners[0]])
         one, two = first @ axes.T, second @ axes.T
-        # compared in units of squared metres along each axis: a hair of tolerance lets things stand side by side
+        # projections in square metres; the tolerance allows contact
         if ((one.max(axis=0) <= two.min(axis=0) + 1e-6) | (two.max(axis=0) <= one.min(axis=0) + 1e-6)).any():
             return False
     return True
 
 
 class RoomFloor:
-    """The furniture of one room while it is being placed.
+    """Floor of one room during furnishing.
 
     Attributes:
-        room: where.
-        placed: what stands in it so far, in the plan's frame.
+        room: room of the plan.
+        placed: objects placed so far, in the frame of the plan.
+        kept_clear: rectangles of the floor that must stay free.
+        windows: rectangles in front of windows.
     """
 
     def __init__(self, plan: Plan, number: int, robot_radius: float) -> None:
@@ -52,7 +54,7 @@ class RoomFloor:
         self._radius = robot_radius + CELL
         self._doorsteps: list[tuple[float, float]] = []
         for opening in plan.openings_of(number):
-            # an open leaf is as long as its door is wide
+            # an open leaf is as long as the door is wide
             depth = {"window": 0.5, "door": opening.end - opening.start + 0.05}.get(opening.kind, DOOR_ZONE)
             x0, y0, x1, y1 = before(opening, self.room, depth, 0.03)
             zone = rectangle_at((x0, y0), (x1, y1), 0.0, 0.0, 0.0)
@@ -66,20 +68,21 @@ class RoomFloor:
         self.kept_clear += self._doors
         shape = tuple(int(np.ceil(side / CELL)) for side in self.room.size[::-1])
         self._blocked = np.ones(shape, np.uint8)
-        rim = int(np.ceil(self._radius / CELL))
-        self._blocked[rim:-rim, rim:-rim] = 0
-        for x, y in self._doorsteps:  # the rim before a door is free
+        border = int(np.ceil(self._radius / CELL))
+        self._blocked[border:-border, border:-border] = 0
+        for x, y in self._doorsteps:  # the border in front of a door is free
             self._blocked[self._cell(x, y)] = 0
 
     def _cell(self, x: float, y: float) -> tuple[int, int]:
+        """Return the row and column of a point, clipped to the room."""
         rows, columns = self._blocked.shape
         row, column = int((y - self.room.y0) / CELL), int((x - self.room.x0) / CELL)
         return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
 
     def fits(self, objects: Sequence[Placed], next_to: Iterable[Placed] = ()) -> bool:
-        """Whether things may stand where they are; `beside` are those that they may reach under."""
-        excused = {id(obj) for obj in next_to}
-        others = [obj for obj in self.placed if id(obj) not in excused and not is_flat(obj)]
+        """Return whether objects may be placed at their poses; they may overlap the objects in `next_to`."""
+        ignored = {id(obj) for obj in next_to}
+        others = [obj for obj in self.placed if id(obj) not in ignored and not is_flat(obj)]
         for obj in objects:
             if is_flat(obj):
                 continue
@@ -87,7 +90,7 @@ class RoomFloor:
             tall = obj.z + obj.piece.high[2] > TALL and (obj.z == 0 or obj.z > TALL)
             if tall and any(overlap(corners, zone) for zone in self.windows):
                 return False
-            if obj.z > 0:  # stands on another of the same group, or hangs on the wall above it
+            if obj.z > 0:  # on top of another object, or on the wall
                 continue
             if not self.inside(corners) or any(overlap(corners, zone) for zone in self.kept_clear):
                 return False
@@ -96,7 +99,7 @@ class RoomFloor:
         return self._passable(objects)
 
     def inside(self, corners: Corners) -> bool:
-        """Whether a rectangle lies within the room's walls."""
+        """Return whether a rectangle is inside the room."""
         room = self.room
         above, below = (
             corners >= (room.x0 - 1e-6, room.y0 - 1e-6),
@@ -104,8 +107,8 @@ class RoomFloor:
         )
         return bool(above.all() and below.all())
 
-    def _with(self, objects: Iterable[Placed]) -> Bool[np.ndarray, "h w"]:
-        """The cells a robot's centre cannot be in."""
+    def _blocked_with(self, objects: Iterable[Placed]) -> Bool[np.ndarray, "h w"]:
+        """Return the cells that the centre of the robot cannot occupy if `objects` are added."""
         blocked = self._blocked.copy()
         for obj in objects:
             corners = (obj.footprint(self._radius) - (self.room.x0, self.room.y0)) / CELL - 0.5
@@ -113,37 +116,37 @@ class RoomFloor:
         return blocked > 0
 
     def _passable(self, objects: Sequence[Placed]) -> bool:
-        """Whether all doors of the room stay joined, and enough of the floor with them."""
-        free = ~self._with([obj for obj in objects if obj.z == 0 and not is_flat(obj)])
-        _, parts = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
+        """Return whether all doors stay connected with enough free floor if `objects` are added."""
+        free = ~self._blocked_with([obj for obj in objects if obj.z == 0 and not is_flat(obj)])
+        _, components = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
         if not self._doorsteps:
             return bool(free.any())
-        names = {int(parts[self._cell(x, y)]) for x, y in self._doorsteps}
-        if len(names) > 1 or 0 in names:
+        reached = {int(components[self._cell(x, y)]) for x, y in self._doorsteps}
+        if len(reached) > 1 or 0 in reached:
             return False
-        # furniture must not wall off part of the room either, nor fill it
-        reached = int((parts == names.pop()).sum())
-        return bool(reached >= 0.75 * free.sum() and reached >= FREE_SHARE * free.size)
+        # furniture must neither cut off a part of the room nor fill it
+        count = int((components == reached.pop()).sum())
+        return bool(count >= 0.75 * free.sum() and count >= MIN_FREE_FRACTION * free.size)
 
     def put(self, objects: Sequence[Placed]) -> None:
-        """Let things stand where they are."""
+        """Place objects at their poses."""
         self.placed += objects
-        self._blocked = self._with([obj for obj in objects if obj.z == 0 and not is_flat(obj)]).astype(
-            np.uint8
-        )
+        self._blocked = self._blocked_with(
+            [obj for obj in objects if obj.z == 0 and not is_flat(obj)]
+        ).astype(np.uint8)
 
     def keep_clear(self, corners: Corners) -> None:
-        """Let nothing more stand in a rectangle."""
+        """Keep a rectangle clear of objects placed later."""
         self.kept_clear.append(corners)
 
     def clear_above(self, corners: Corners, low: float) -> bool:
-        """Whether nothing placed reaches above height `low` over a rectangle."""
+        """Return whether no placed object is higher than `low` metres above a rectangle."""
         return not any(
             obj.z + obj.piece.high[2] > low and overlap(corners, obj.footprint()) for obj in self.placed
         )
 
     def wall_is_free(self, picture: Placed) -> bool:
-        """Whether a picture hangs before nothing but the wall: no door, no window, no tall furniture."""
+        """Return whether the wall behind a picture is free of doors, windows and tall furniture."""
         corners = picture.footprint(0.05)
         return self.clear_above(corners, picture.z - 0.1) and not any(
             overlap(corners, zone) for zone in [*self.windows, *self._doors]
@@ -151,41 +154,40 @@ class RoomFloor:
 
 
 def is_flat(obj: Placed) -> bool:
-    """Whether a thing lies flat on the floor, so that others stand on it."""
+    """Return whether an object lies flat on the floor and does not block it."""
     return bool(obj.piece.high[2] + obj.z <= FLAT)
 
 
 def extent(group: Sequence[Placed]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Smallest and largest x, y of a group's footprints."""
+    """Return the smallest and largest x, y of the footprints of a group."""
     corners = np.concatenate([obj.footprint() for obj in group])
     return corners.min(axis=0), corners.max(axis=0)
 
 
 def moved(group: Sequence[Placed], x: float, y: float, yaw: float, z: float = 0.0) -> list[Placed]:
-    """A group, each thing's place being relative to a frame at (x, y, z) turned by `yaw`."""
+    """Return a group with its poses transformed from a frame at (x, y, z) and `yaw` to the parent frame."""
     return [obj.within(x, y, yaw, z) for obj in group]
 
 
 def wall_pose(
-    room: Room, side: int, share: float, low: np.ndarray, high: np.ndarray, gap: float
+    room: Room, side: int, fraction: float, low: np.ndarray, high: np.ndarray, gap: float
 ) -> tuple[float, float, float] | None:
-    """Pose that puts a group's back (its lowest y) on a wall (0 south, 1 east, 2 north, 3 west); None if too long.
+    """Return the pose of a group with its back (lowest y) at a wall, or None if the group is too long.
 
     Args:
-        room: with the wall.
-        side: which wall.
-        share: 0 puts the group at the wall's left end as seen from the room's middle looking at it, 1 at its right end.
-        low, high: extent of the group in its own frame.
-        gap: between its back and the wall, metres.
+        room: room with the wall.
+        side: wall: 0 south, 1 east, 2 north, 3 west.
+        fraction: position along the wall: 0 is its left end as seen from the centre of the room, 1 its right end.
+        low, high: extent of the group in its frame, metres.
+        gap: gap between the back of the group and the wall, metres.
     """
     yaw = (0.0, np.pi / 2, np.pi, -np.pi / 2)[side]
     length = room.size[side % 2]
-    spare = length - (high[0] - low[0]) - 2 * 0.02
-    if spare < 0:
+    slack = length - (high[0] - low[0]) - 2 * 0.02
+    if slack < 0:
         return None
-    along = (
-        0.02 + spare * share - low[0]
-    )  # of the group's origin, from the end of the wall where its x starts
+    # position of the group's origin, from the end of the wall where the x axis of the group starts
+    along = 0.02 + slack * fraction - low[0]
     out = gap - low[1]
     match side:
         case 0:

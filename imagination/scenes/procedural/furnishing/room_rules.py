@@ -1,4 +1,4 @@
-"""What goes into each kind of room, and where."""
+"""Furnishing rules of each kind of room."""
 
 from collections.abc import Callable, Mapping
 
@@ -35,7 +35,7 @@ def _bedroom(room: Furnisher) -> None:
     room.loose("chair", 0.4)
     room.stand("shelf", 0.3)
     room.stand("bench", 0.1)
-    _leftovers(room, rug=0.4, clutter=1)
+    _accessories(room, rug=0.4, clutter=1)
 
 
 def _living(room: Furnisher) -> None:
@@ -58,26 +58,26 @@ def _living(room: Furnisher) -> None:
         room.loose("chair", chance)
     room.loose("pouf", 0.35)
     room.stand("floor_lamp", 0.7)
-    _leftovers(room, rug=0.1, clutter=1)
+    _accessories(room, rug=0.1, clutter=1)
 
 
 def _dining(room: Furnisher) -> None:
     chair = _table(room, 8)
     room.stand("sideboard", 0.75, clear=0.3, topped=("vase", "bowl", "books", "table_lamp"))
-    if chair is not None:  # chairs of the set that are not at the table wait by a wall
+    if chair is not None:  # spare chairs of the set stand at a wall
         for _ in range(int(room.rng.integers(0, 3))):
             room.against_wall([Placed(chair)])
     room.loose("chair", 0.25)
     room.stand("shelf", 0.35)
     room.stand("floor_lamp", 0.3)
     room.loose("armchair", 0.25)
-    _leftovers(room, rug=0.0, clutter=0)
+    _accessories(room, rug=0.0, clutter=0)
 
 
-def _table(room: Furnisher, most: int) -> Piece | None:
-    """A dining table: in the room if it fits there, else with its side to a wall; returns the kind of chair at it."""
+def _table(room: Furnisher, max_chairs: int) -> Piece | None:
+    """Place a dining table, in the room if it fits, else at a wall; return the model of its chairs."""
     for _ in range(3):
-        objects, chairs = dining_group(room.stock, most)
+        objects, chairs = dining_group(room.stock, max_chairs)
         if room.freely(objects, chairs, tries=16) or room.against_wall(objects, chairs, tries=16) is not None:
             return chairs[0].piece if chairs else None
     return None
@@ -94,7 +94,7 @@ def _kitchen(room: Furnisher) -> None:
     group += on_top_of(group[0], stock, ["bowl", "vase", "books"], 0.4)
     cold = next_to(counter, fridge, float(room.rng.choice([-1, 1])))
     if room.against_wall([*group, cold], clear=0.7) is None:
-        # what is too long is tried again without its fridge, then with other, mostly shorter units
+        # if the group is too long, retry without the fridge, then with other, usually shorter units
         for run in (group, *([Placed(stock.piece("kitchen_counter"))] for _ in range(3))):
             if room.against_wall(run, clear=0.6) is not None:
                 break
@@ -105,7 +105,7 @@ def _kitchen(room: Furnisher) -> None:
         _table(room, 4)
     room.loose("stool", 0.4)
     room.loose("chair", 0.25)
-    _leftovers(room, rug=0.0, clutter=1)
+    _accessories(room, rug=0.0, clutter=1)
 
 
 def _office(room: Furnisher) -> None:
@@ -121,7 +121,7 @@ def _office(room: Furnisher) -> None:
     if stock.chance(0.15):
         room.against_wall([Placed(stock.piece("single_bed"))])
     room.stand("sideboard", 0.25)
-    _leftovers(room, rug=0.3, clutter=2)
+    _accessories(room, rug=0.3, clutter=2)
 
 
 def _bathroom(room: Furnisher) -> None:
@@ -139,8 +139,8 @@ def _corridor(room: Furnisher) -> None:
     room.hang(3)
 
 
-def _leftovers(room: Furnisher, rug: float, clutter: int) -> None:
-    """Plants, clutter, a rug and pictures."""
+def _accessories(room: Furnisher, rug: float, clutter: int) -> None:
+    """Place plants, clutter, a rug and pictures."""
     room.stand("plant", 0.5)
     for _ in range(clutter):
         room.stand(str(room.rng.choice(["carton", "basket", "pouf"])), 0.45)
@@ -161,7 +161,7 @@ RULES: Mapping[RoomKind, Callable[[Furnisher], None]] = {
 
 
 def furnish(plan: Plan, stock: Stock, robot_radius: float) -> list[Placed]:
-    """Furnish all rooms of a plan; without a dining room the table stands in the living room or the kitchen."""
+    """Furnish all rooms of a plan; without a dining room the table is in the living room or the kitchen."""
     furniture: list[Placed] = []
     eat_in = not any(room.kind == "dining" for room in plan.rooms)
     for number, room in enumerate(plan.rooms):

@@ -1,1 +1,1 @@
-"""Furniture by family: shapes and their ranges in each split."""
+"""Furniture by family: shapes and their parameter ranges in each split."""

@@ -1,4 +1,4 @@
-"""Armchairs: they face +y, the back is at -y."""
+"""Armchairs, which face +y."""
 
 from collections.abc import Callable, Mapping
 
@@ -12,7 +12,7 @@ from imagination.scenes.procedural.furniture.styles import Style
 
 
 def _easy(chair: Assembly, style: Style, palette: Palette) -> None:
-    """Padded armchairs with closed sides: club and wing."""
+    """Build a club or wing chair: padded, with closed sides."""
     cloth = palette.pick(palette.fabrics + palette.leathers)
     width, depth, seat, arm, lift = style["width"], style["depth"], style["seat"], style["arm"], style["lift"]
     whole, rear = width + 2 * arm, 0.16
@@ -38,7 +38,7 @@ def _easy(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _frame_lounge(chair: Assembly, style: Style, palette: Palette) -> None:
-    """An open wooden frame with loose cushions."""
+    """Build an open wooden frame with loose cushions."""
     frame, cloth, leg = (
         palette.pick(palette.woods),
         palette.pick(palette.fabrics + palette.leathers),
@@ -62,7 +62,7 @@ def _frame_lounge(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _tub(chair: Assembly, style: Style, palette: Palette) -> None:
-    """A barrel: one curved wall around a round seat."""
+    """Build a tub chair: one curved shell around a round seat."""
     cloth = palette.pick(palette.fabrics + palette.leathers)
     width, depth, seat, arm, lift = style["width"], style["depth"], style["seat"], style["arm"], style["lift"]
     across, deep = width + 2 * arm, depth + arm + 0.06
@@ -83,7 +83,7 @@ def _tub(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _recliner(chair: Assembly, style: Style, palette: Palette) -> None:
-    """A heavy chair: thick round arms, a high back of three rolls, a foot rest that is folded out or not."""
+    """Build a recliner: thick round arms, a high back of three rolls, and an optional foot rest."""
     cloth, seat, lift, arm = (
         palette.pick(palette.leathers + palette.fabrics),
         style["seat"],
@@ -110,7 +110,7 @@ def _recliner(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _slipper(chair: Assembly, style: Style, palette: Palette) -> None:
-    """A low padded chair without arms."""
+    """Build a slipper chair: low and padded, without arms."""
     cloth, pad, lift = palette.pick(palette.fabrics + palette.leathers), style["pad"], style["lift"]
     width, depth, seat = style["width"], style["depth"], style["seat"]
     feet(chair, palette.pick(palette.woods + palette.metals), width, depth, lift)
@@ -123,7 +123,7 @@ def _slipper(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _rocker(chair: Assembly, style: Style, palette: Palette) -> None:
-    """Wood on two bent runners, a high back of upright slats."""
+    """Build a wooden rocking chair on two bent runners with a high slatted back."""
     frame, leg, seat = palette.pick(palette.woods), style["leg"], style["seat"]
     width, depth, back, slat = style["width"], style["depth"], style["back"], style["slat"]
     x, y, along = width / 2, depth / 2, np.linspace(-1, 1, 9)
@@ -139,8 +139,8 @@ def _rocker(chair: Assembly, style: Style, palette: Palette) -> None:
         chair.add(tube([(end, 0, 0), (end, 0, back)], leg * 0.5, 5), frame, base, tilt=lean)
     chair.add(box(width, 0.025, 0.09).moved((0, 0, back - 0.09)), frame, base, tilt=lean)
     count = max(3, int(width * 0.8 / (slat + 0.03)))
-    for place in np.linspace(-x + 0.08, x - 0.08, count):
-        chair.add(box(slat, 0.014, back - 0.05).moved((float(place), 0, 0)), frame, base, tilt=lean)
+    for position in np.linspace(-x + 0.08, x - 0.08, count):
+        chair.add(box(slat, 0.014, back - 0.05).moved((float(position), 0, 0)), frame, base, tilt=lean)
     if "pad" in style:
         chair.add(
             cushion(width * 0.92, depth * 0.9, 0.06, 0.025, 0.01), palette.pick(palette.fabrics), (0, 0, seat)
@@ -158,7 +158,7 @@ BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {
 
 
 def build_armchair(style: Style, palette: Palette) -> Piece:
-    """An armchair of one style in the finishes of one home."""
+    """Build an armchair of one style with finishes of the palette."""
     chair = Assembly(style.family.label, style.model)
     BUILDERS[style.family.name](chair, style, palette)
     return chair.finished()

@@ -1,4 +1,4 @@
-"""Beds: what goes to the wall is at -y: the headboard, or the long side of daybeds and bunk beds."""
+"""Beds with the wall side at -y: the headboard, or the long side of daybeds and bunk beds."""
 
 from collections.abc import Callable, Mapping
 
@@ -16,7 +16,7 @@ MATTRESS = 0.20
 def _bedding(
     bed: Assembly, palette: Palette, width: float, length: float, top: float, y: float = 0.0
 ) -> None:
-    """Mattress, duvet and pillows; `top` is the mattress's upper side."""
+    """Add mattress, duvet and pillows; `top` is the height of the mattress top."""
     linen, cover = palette.pick(palette.linens), palette.pick(palette.fabrics + palette.linens)
     bed.add(cushion(width, length, MATTRESS, 0.05), linen, (0, y, top - MATTRESS))
     bed.add(
@@ -29,7 +29,7 @@ def _bedding(
 
 
 def _platform(bed: Assembly, style: Style, palette: Palette) -> None:
-    """A low frame wider than its mattress."""
+    """Build a platform bed: a low frame wider than its mattress."""
     wood, lip, lift = palette.pick(palette.woods), style["lip"], style["lift"]
     width, length, top = style["width"], style["length"], style["mattress"]
     base = top - MATTRESS + 0.04
@@ -41,7 +41,7 @@ def _platform(bed: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _panel(bed: Assembly, style: Style, palette: Palette) -> None:
-    """Posts and panels at head and foot."""
+    """Build a panel bed with posts and panels at head and foot."""
     wood, post = palette.pick(palette.woods + palette.paints[:1]), style["post"]
     width, length, top = style["width"] + 0.04, style["length"] + 0.02, style["mattress"]
     for y, height in ((-length / 2 - post / 2, style["board"]), (length / 2 + post / 2, style["foot"])):
@@ -58,7 +58,7 @@ def _panel(bed: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _upholstered(bed: Assembly, style: Style, palette: Palette) -> None:
-    """A padded frame and a tall padded headboard, tufted in panels."""
+    """Build an upholstered bed: a padded frame and a tall headboard of padded panels."""
     cloth, pad = palette.pick(palette.fabrics + palette.leathers), style["pad"]
     width, length, top = style["width"] + 0.06, style["length"] + 0.03, style["mattress"]
     bed.add(cushion(width + 0.06, length + 0.03, top - MATTRESS + 0.02, 0.03), cloth, (0, 0.02, 0.04))
@@ -82,7 +82,7 @@ def _upholstered(bed: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _four_poster(bed: Assembly, style: Style, palette: Palette) -> None:
-    """Tall posts that carry a frame."""
+    """Build a four-poster bed: tall posts that carry a frame."""
     wood, post, canopy = palette.pick(palette.woods), style["post"], style["canopy"]
     width, length, top = style["width"] + 0.06, style["length"] + 0.04, style["mattress"]
     for sx in (-1, 1):
@@ -98,7 +98,7 @@ def _four_poster(bed: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _slats(bed: Assembly, style: Style, finish: Finish, y: float, height: float) -> None:
-    """A head or foot of upright slats between two posts."""
+    """Add a headboard or footboard of upright slats between two posts."""
     width = style["width"] + 0.04
     for side in (-1, 1):
         bed.add(box(0.045, 0.045, height), finish, (side * (width / 2 + 0.0225), y, 0))
@@ -110,7 +110,7 @@ def _slats(bed: Assembly, style: Style, finish: Finish, y: float, height: float)
 
 
 def _single(bed: Assembly, style: Style, palette: Palette) -> None:
-    """Single beds: slatted, on a box, daybed with three sides, sleigh."""
+    """Build a single bed: slat bed, box bed, daybed with three sides, or sleigh bed."""
     wood, kind = palette.pick(palette.woods + palette.paints + palette.metals[:1]), style.family.name
     width, length, top = style["width"], style["length"], style["mattress"]
     end, base = length / 2 + 0.035, top - MATTRESS
@@ -141,16 +141,16 @@ def _single(bed: Assembly, style: Style, palette: Palette) -> None:
         bed.add(
             box(post * 0.5, 2 * end, style["board"] - top + 0.05), wood, (-width / 2 - 0.02, 0, top - 0.05)
         )
-        bed.turn(np.pi / 2)  # its long side is its back
+        bed.turn(np.pi / 2)  # the long side becomes the back
     else:
         _sleigh(bed, style, wood, end)
 
 
 def _sleigh(bed: Assembly, style: Style, wood: Finish, end: float) -> None:
-    """Head and foot that roll outwards."""
+    """Add the outward-curved headboard and footboard of a sleigh bed."""
     for side, height in ((-1.0, style["board"]), (1.0, style["board"] * 0.8)):
-        share = np.linspace(0, 1, 11)
-        out, rise = style["curl"] * share**2.2, 0.1 + (height - 0.1) * share
+        fraction = np.linspace(0, 1, 11)
+        out, rise = style["curl"] * fraction**2.2, 0.1 + (height - 0.1) * fraction
         x = np.linspace(-0.5, 0.5, 5) * (style["width"] + 0.08)
         points = np.zeros((11, 5, 3))
         points[..., 0], points[..., 1], points[..., 2] = (
@@ -167,7 +167,7 @@ def _sleigh(bed: Assembly, style: Style, wood: Finish, end: float) -> None:
 
 
 def _bunk(bed: Assembly, style: Style, palette: Palette) -> None:
-    """Two beds, one above the other, with a ladder at the foot."""
+    """Build a bunk bed with a ladder at the foot."""
     wood, post, upper = (
         palette.pick(palette.woods + palette.paints + palette.metals[:1]),
         style["post"],
@@ -191,7 +191,7 @@ def _bunk(bed: Assembly, style: Style, palette: Palette) -> None:
         bed.add(box(0.03, 0.37, 0.03), wood, (half + post / 2 + 0.02, end - 0.235, float(z)))
     if "drawers" in style:
         bed.add(box(width * 0.95, length * 0.9, top - MATTRESS - 0.08), wood, (0, 0, 0.02))
-    bed.turn(np.pi / 2)  # its long side, across from the ladder, is its back
+    bed.turn(np.pi / 2)  # the long side opposite the ladder becomes the back
 
 
 BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {
@@ -205,7 +205,7 @@ BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {
 
 
 def build_bed(style: Style, palette: Palette) -> Piece:
-    """A bed of one style in the finishes of one home."""
+    """Build a bed of one style with finishes of the palette."""
     bed = Assembly(style.family.label, style.model)
     BUILDERS[style.family.name](bed, style, palette)
     return bed.finished()

@@ -1,4 +1,4 @@
-"""Parts that several kinds of chairs share; chairs face +y, the back is at -y."""
+"""Common parts of chairs, which face +y."""
 
 import numpy as np
 
@@ -8,16 +8,18 @@ from imagination.scenes.building_blocks.shapes import Solid, bent, box, sheet, t
 from imagination.scenes.procedural.furniture.styles import Style
 
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-"""Signs of x and y of a rectangle's corners."""
+"""Signs of x and y of the corners of a rectangle."""
 
 
 def backrest(chair: Assembly, style: Style, frame: Finish, y: float, post: float) -> None:
-    """Two posts and what is between them: slats, rungs or a panel, according to the style's family.
+    """Add two posts with slats, rungs or a panel between them, according to the family of the style.
 
     Args:
-        chair, style, frame: what is built, how and of what.
-        y: where the posts stand.
-        post: their thickness.
+        chair: chair that is built.
+        style: style of the chair.
+        frame: finish of the frame.
+        y: position of the posts, metres.
+        post: thickness of the posts, metres.
     """
     half, top = style["width"] / 2 - post / 2, style["back"]
     inner, rail = 2 * half - post, 0.055
@@ -45,7 +47,7 @@ def backrest(chair: Assembly, style: Style, frame: Finish, y: float, post: float
 
 
 def wooden_arms(chair: Assembly, style: Style, frame: Finish) -> None:
-    """Arm rests on posts that stand on the seat."""
+    """Add armrests on posts that stand on the seat."""
     height, y = 0.21, style["depth"] / 2
     reach = y * 0.55
     for side in (-1, 1):
@@ -56,7 +58,7 @@ def wooden_arms(chair: Assembly, style: Style, frame: Finish) -> None:
 
 
 def bowl(chair: Assembly, style: Style, finish: Finish) -> None:
-    """A moulded shell: seat and back in one curved sheet."""
+    """Add a moulded shell: seat and back as one curved sheet."""
     width, depth, back, bowl = style["width"], style["depth"], style["back"], style["bowl"]
     along, across = np.linspace(0, 1, 13), np.linspace(-1, 1, 9)
     lean = np.tan(style["rake"])
@@ -78,7 +80,7 @@ def bowl(chair: Assembly, style: Style, finish: Finish) -> None:
 
 
 def feet(chair: Assembly, finish: Finish, width: float, depth: float, lift: float) -> None:
-    """Four short feet under a body of `width` x `depth`, `lift` high."""
+    """Add four short feet, `lift` high, below a body of `width` x `depth`."""
     for sx, sy in CORNERS:
         foot = (sx * (width / 2 - 0.06), sy * (depth / 2 - 0.06))
         chair.add(tube([(*foot, 0), (*foot, lift + 0.01)], [0.018, 0.028], 8), finish)

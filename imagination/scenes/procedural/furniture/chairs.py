@@ -1,4 +1,4 @@
-"""Dining and kitchen chairs: they face +y, the back is at -y."""
+"""Dining and kitchen chairs, which face +y."""
 
 from collections.abc import Callable, Mapping
 
@@ -12,7 +12,7 @@ from imagination.scenes.procedural.furniture.styles import Style
 
 
 def _wooden(chair: Assembly, style: Style, palette: Palette) -> None:
-    """Four legs and a wooden back."""
+    """Build a chair with four legs and a wooden or padded back."""
     frame, leg, splay = palette.pick(palette.woods + palette.paints[:1]), style["leg"], style["splay"]
     width, depth, seat = style["width"], style["depth"], style["seat"]
     x, y = width / 2 - leg / 2, depth / 2 - leg / 2
@@ -48,7 +48,7 @@ def _wooden(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _spindle(chair: Assembly, style: Style, palette: Palette) -> None:
-    """A carved seat on splayed turned legs, a bent hoop with thin spindles."""
+    """Build a spindle-back chair: a carved seat on splayed turned legs, and a bent hoop with thin spindles."""
     frame, leg, seat = palette.pick(palette.woods), style["leg"], style["seat"]
     width, depth, back = style["width"], style["depth"], style["back"]
     for sx, sy in CORNERS:
@@ -76,7 +76,7 @@ def _spindle(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _seat_and_back(chair: Assembly, style: Style, palette: Palette) -> None:
-    """A board to sit on and one to lean on, for chairs of bent tube."""
+    """Add the seat and the back of a tubular chair."""
     boards = palette.pick(palette.woods + palette.plastics + palette.fabrics)
     width, depth, seat, gap = style["width"], style["depth"], style["seat"], style["gap"]
     chair.add(cushion(width - 0.02, depth, 0.03, 0.012), boards, (0, 0, seat - 0.03))
@@ -90,7 +90,7 @@ def _seat_and_back(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _tubular(chair: Assembly, style: Style, palette: Palette) -> None:
-    """Bent tube: runners on the floor (sled) or a frame open at the back (cantilever)."""
+    """Build a chair of bent tube: sled base, or cantilever frame that is open at the back."""
     metal, radius = palette.pick(palette.metals), style["tube"]
     x, y, seat = style["width"] / 2, style["depth"] / 2, style["seat"]
     under, top, lean = seat - 0.03 - radius, seat + style["back"], np.tan(style["rake"])
@@ -117,7 +117,7 @@ def _tubular(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _shell(chair: Assembly, style: Style, palette: Palette) -> None:
-    """A moulded shell on four thin legs."""
+    """Build a moulded shell on four thin legs."""
     bowl(chair, style, palette.pick(palette.plastics + palette.fabrics))
     legs, radius, seat = palette.pick(palette.woods + palette.metals), style["leg"], style["seat"]
     for sx, sy in CORNERS:
@@ -132,7 +132,7 @@ def _shell(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _tulip(chair: Assembly, style: Style, palette: Palette) -> None:
-    """A moulded shell on one foot."""
+    """Build a moulded shell on one foot."""
     finish = palette.pick(palette.plastics + palette.paints)
     bowl(chair, style, finish)
     stem, foot, seat = style["stem"], style["foot"], style["seat"]
@@ -146,7 +146,7 @@ def _tulip(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _bistro(chair: Assembly, style: Style, palette: Palette) -> None:
-    """A round seat on a wire frame, two bent hoops one in the other."""
+    """Build a bistro chair: a round seat on a wire frame with two concentric hoops as back."""
     metal, seat, radius = palette.pick(palette.metals + palette.paints[:1]), style["seat"], style["tube"]
     width, depth, splay = style["width"], style["depth"], style["splay"]
     for sx, sy in CORNERS:
@@ -158,14 +158,14 @@ def _bistro(chair: Assembly, style: Style, palette: Palette) -> None:
         (0, 0, seat - 0.035),
     )
     angle, base = np.linspace(0, np.pi, 13), (0.0, -depth / 2 + 0.07, seat - 0.03)
-    for share in (1.0, style["hoop"]):
-        reach = [width * 0.42 * share, 0.0, style["back"] * (0.55 + 0.45 * share)]
+    for scale in (1.0, style["hoop"]):
+        reach = [width * 0.42 * scale, 0.0, style["back"] * (0.55 + 0.45 * scale)]
         hoop = np.column_stack([np.cos(angle), np.zeros(13), np.sin(angle) ** 0.6]) * reach
         chair.add(tube(hoop.tolist(), radius, 6), metal, base, tilt=style["rake"])
 
 
 def _folding(chair: Assembly, style: Style, palette: Palette) -> None:
-    """Crossed legs of flat bars, slats to sit on and to lean on."""
+    """Build a folding chair: crossed legs of flat bars, with seat and back of slats."""
     frame, leg, slat = palette.pick(palette.woods + palette.metals), style["leg"], style["slat"]
     width, depth, seat, back = style["width"], style["depth"], style["seat"], style["back"]
     x, y, lean = width / 2 - leg / 2, depth / 2, np.tan(style["rake"])
@@ -181,8 +181,8 @@ def _folding(chair: Assembly, style: Style, palette: Palette) -> None:
             frame,
         )
     count = max(3, int(depth / (slat + 0.012)))
-    for place in np.linspace(-y + slat / 2, y - slat / 2, count):
-        chair.add(box(width, slat * 0.9, 0.018), frame, (0, float(place), seat - 0.018))
+    for position in np.linspace(-y + slat / 2, y - slat / 2, count):
+        chair.add(box(width, slat * 0.9, 0.018), frame, (0, float(position), seat - 0.018))
     for height in (back - slat, back * 0.45):
         at = (0, -y * 0.6 - height * lean, seat + height)
         chair.add(box(width, 0.016, slat), frame, at, tilt=style["rake"])
@@ -200,7 +200,7 @@ BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {
 
 
 def build_chair(style: Style, palette: Palette) -> Piece:
-    """A chair of one style in the finishes of one home."""
+    """Build a chair of one style with finishes of the palette."""
     chair = Assembly(style.family.label, style.model)
     BUILDERS[style.family.name](chair, style, palette)
     return chair.finished()

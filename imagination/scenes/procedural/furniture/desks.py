@@ -1,4 +1,4 @@
-"""Desks: the back (-y) stands against a wall, one sits at +y."""
+"""Desks with the wall at -y and the seat at +y."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from imagination.scenes.procedural.furniture.styles import Style
 def _chest(
     desk: Assembly, finish: Finish, knob: Finish, x: float, width: float, depth: float, height: float
 ) -> None:
-    """Drawers under the top."""
+    """Add a chest of drawers below the top."""
     desk.add(box(width, depth, height - 0.04), finish, (x, 0, 0.04))
     desk.add(box(width - 0.02, depth - 0.06, 0.04), knob, (x, 0, 0))
     step = (height - 0.07) / 3
@@ -22,6 +22,7 @@ def _chest(
 
 
 def _legs(desk: Assembly, finish: Finish, style: Style, ends: tuple[float, ...]) -> None:
+    """Add a pair of legs at each x in `ends`."""
     leg, y, under = style["leg"], style["depth"] / 2, style["height"] - style["thick"]
     for x in ends:
         for side in (-1, 1):
@@ -29,7 +30,7 @@ def _legs(desk: Assembly, finish: Finish, style: Style, ends: tuple[float, ...])
 
 
 def build_desk(style: Style, palette: Palette) -> Piece:
-    """A desk of one style in the finishes of one home, with one place to sit."""
+    """Build a desk of one style with finishes of the palette and one seat."""
     desk = Assembly(style.family.label, style.model)
     wood, metal = palette.pick(palette.woods + palette.paints[:1]), palette.pick(palette.metals)
     length, depth, height, thick = style["length"], style["depth"], style["height"], style["thick"]

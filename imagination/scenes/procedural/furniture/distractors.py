@@ -1,4 +1,4 @@
-"""Things in a home that are neither chair, table, bed nor storage; backs are at -y, fronts at +y."""
+"""Distractors: objects that are neither chairs, tables, beds nor storage; the front is at +y."""
 
 from collections.abc import Callable, Mapping
 
@@ -15,9 +15,9 @@ Rng = np.random.Generator
 
 def _sofa(sofa: Assembly, palette: Palette, rng: Rng) -> None:
     cloth = palette.pick(palette.fabrics + palette.leathers)
-    count, place, arm = int(rng.integers(2, 4)), rng.uniform(0.58, 0.72), rng.uniform(0.10, 0.22)
+    count, seat_width, arm = int(rng.integers(2, 4)), rng.uniform(0.58, 0.72), rng.uniform(0.10, 0.22)
     seat, depth, lift, rear = rng.uniform(0.38, 0.46), rng.uniform(0.52, 0.62), rng.uniform(0.04, 0.14), 0.18
-    inner, back = count * place, rng.uniform(0.32, 0.48)
+    inner, back = count * seat_width, rng.uniform(0.32, 0.48)
     whole, deep = inner + 2 * arm, depth + rear
     legs = palette.pick(palette.woods + palette.metals)
     for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
@@ -27,10 +27,10 @@ def _sofa(sofa: Assembly, palette: Palette, rng: Rng) -> None:
         cushion(whole, rear * 0.8, seat + back - 0.05 - lift, 0.05), cloth, (0, -deep / 2 + rear * 0.4, lift)
     )
     for number in range(count):
-        x = (number - (count - 1) / 2) * place
-        sofa.add(cushion(place - 0.01, depth, 0.15, 0.05, 0.02), cloth, (x, rear / 2, seat - 0.14))
+        x = (number - (count - 1) / 2) * seat_width
+        sofa.add(cushion(seat_width - 0.01, depth, 0.15, 0.05, 0.02), cloth, (x, rear / 2, seat - 0.14))
         at = (x, -deep / 2 + rear * 0.8 + 0.09, seat)
-        sofa.add(cushion(place - 0.02, 0.16, back, 0.06, 0.02), cloth, at, tilt=0.18)
+        sofa.add(cushion(seat_width - 0.02, 0.16, back, 0.06, 0.02), cloth, at, tilt=0.18)
     for side in (-1, 1):
         x = side * (whole - arm) / 2
         sofa.add(cushion(arm, deep, seat + rng.uniform(0.14, 0.2) - lift, 0.045), cloth, (x, 0, lift))
@@ -100,9 +100,9 @@ def _plant(plant: Assembly, palette: Palette, rng: Rng) -> None:
     spread, leaves = rng.uniform(0.16, 0.32), int(rng.integers(10, 18))
     for number in range(leaves):
         angle, reach = number * 2.4 + rng.uniform(-0.3, 0.3), spread * rng.uniform(0.5, 1.0)
-        top, share = pot + (height - pot) * rng.uniform(0.45, 1.0), np.linspace(0, 1, 5)
-        out, up = reach * share**1.6, pot - 0.04 + (top - pot) * np.sin(share * np.pi * 0.62)
-        half = 0.05 * np.sin(np.pi * (0.12 + 0.86 * share))
+        top, t = pot + (height - pot) * rng.uniform(0.45, 1.0), np.linspace(0, 1, 5)
+        out, up = reach * t**1.6, pot - 0.04 + (top - pot) * np.sin(t * np.pi * 0.62)
+        half = 0.05 * np.sin(np.pi * (0.12 + 0.86 * t))
         points = np.stack([np.stack([out, side * half, up], axis=-1) for side in (-1, 0, 1)], axis=1)
         plant.add(sheet(points, 0.004), palette.leaves, yaw=float(angle))
 
@@ -110,13 +110,13 @@ def _plant(plant: Assembly, palette: Palette, rng: Rng) -> None:
 def _rug(piece: Assembly, palette: Palette, rng: Rng) -> None:
     width, depth = rng.uniform(1.5, 2.5), rng.uniform(1.1, 1.8)
     pattern = rug if rng.random() < 0.6 else stripes
-    piece.add(box(width, depth, 0.008), palette.one(pattern, (0.9, 0.85, 0.8), 1.0), whole=True)
+    piece.add(box(width, depth, 0.008), palette.new_finish(pattern, (0.9, 0.85, 0.8), 1.0), whole=True)
 
 
 def _picture(picture: Assembly, palette: Palette, rng: Rng) -> None:
     width, height = rng.uniform(0.3, 0.95), rng.uniform(0.3, 0.75)
     picture.add(box(width, 0.02, height), palette.pick(palette.woods + palette.metals))
-    image = palette.one(painting, (1.0, 1.0, 1.0), 1.0)
+    image = palette.new_finish(painting, (1.0, 1.0, 1.0), 1.0)
     picture.add(box(width - 0.06, 0.004, height - 0.06), image, (0, 0.011, 0.03), whole=True)
 
 
@@ -153,8 +153,10 @@ def _monitor(monitor: Assembly, palette: Palette, rng: Rng) -> None:
 
 def _carton(carton: Assembly, palette: Palette, rng: Rng) -> None:
     width, depth, height = rng.uniform(0.25, 0.5, 3)
-    carton.add(box(width, depth, height), palette.one(None, (0.68, 0.52, 0.36), 1.0))
-    carton.add(box(width * 1.001, 0.06, 0.004), palette.one(None, (0.8, 0.7, 0.5), 1.0), (0, 0, height))
+    carton.add(box(width, depth, height), palette.new_finish(None, (0.68, 0.52, 0.36), 1.0))
+    carton.add(
+        box(width * 1.001, 0.06, 0.004), palette.new_finish(None, (0.8, 0.7, 0.5), 1.0), (0, 0, height)
+    )
 
 
 def _basket(basket: Assembly, palette: Palette, rng: Rng) -> None:
@@ -184,7 +186,7 @@ BUILDERS: Mapping[str, Callable[[Assembly, Palette, Rng], None]] = {
 
 
 def build_distractor(label: str, palette: Palette, rng: Rng) -> Piece:
-    """A thing of random shape, by its label."""
+    """Build an object of a label with a random shape."""
     piece = Assembly(label, label)
     BUILDERS[label](piece, palette, rng)
     return piece.finished()

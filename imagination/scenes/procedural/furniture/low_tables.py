@@ -12,7 +12,7 @@ from imagination.scenes.procedural.furniture.tables import CORNERS, around, squa
 
 
 def _low(table: Assembly, style: Style, palette: Palette) -> None:
-    """Coffee tables with a rectangular or oval top."""
+    """Build a coffee table with a rectangular or oval top."""
     top = palette.pick(palette.woods + palette.stones)
     length, depth, height = style["length"], style["depth"], style["height"]
     leg, under, kind = style["leg"], style["height"] - style["thick"], style.family.name
@@ -37,7 +37,7 @@ def _low(table: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _small_round(table: Assembly, style: Style, palette: Palette) -> None:
-    """Round coffee tables, side tables on one stem, drums."""
+    """Build a round coffee table, a side table on one stem, or a drum."""
     top = palette.pick(palette.woods + palette.stones + palette.metals)
     across, height, kind = style["across"], style["height"], style.family.name
     if kind == "drum":
@@ -67,7 +67,7 @@ def _small_round(table: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _square_side(table: Assembly, style: Style, palette: Palette) -> None:
-    """A small square table."""
+    """Build a square side table."""
     wood, across, height, thick = (
         palette.pick(palette.woods),
         style["across"],
@@ -96,7 +96,7 @@ BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {
 
 
 def build_low_table(style: Style, palette: Palette) -> Piece:
-    """A coffee table or side table of one style in the finishes of one home."""
+    """Build a coffee table or side table of one style with finishes of the palette."""
     table = Assembly(style.family.label, style.model)
     BUILDERS[style.family.name](table, style, palette)
     return table.finished()

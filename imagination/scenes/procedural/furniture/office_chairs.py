@@ -1,4 +1,4 @@
-"""Office chairs on a five-star base: they face +y, the back is at -y."""
+"""Office chairs on a five-star base, which face +y."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from imagination.scenes.procedural.furniture.styles import Style
 
 
 def _star(chair: Assembly, style: Style, palette: Palette) -> None:
-    """Five-star base with castors and a gas spring."""
+    """Add a five-star base with castors and a gas spring."""
     metal = palette.pick([*palette.metals, palette.dark])
     reach, turn = style["star"], 0.3
     for number in range(5):
@@ -27,7 +27,7 @@ def _star(chair: Assembly, style: Style, palette: Palette) -> None:
 
 
 def build_office_chair(style: Style, palette: Palette) -> Piece:
-    """An office chair of one style in the finishes of one home."""
+    """Build an office chair of one style with finishes of the palette."""
     chair = Assembly(style.family.label, style.model)
     cloth = palette.pick(palette.fabrics[:3] + palette.leathers + [palette.dark])
     width, depth, seat, back = style["width"], style["depth"], style["seat"], style["back"]

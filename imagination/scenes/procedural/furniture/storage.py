@@ -1,4 +1,4 @@
-"""Cupboards, shelves and fittings of kitchen and bathroom; backs are at -y, fronts at +y."""
+"""Storage furniture, and fittings of kitchen and bathroom; the front is at +y."""
 
 from collections.abc import Callable, Mapping
 
@@ -14,7 +14,7 @@ Rng = np.random.Generator
 def _doors(
     case: Assembly, palette: Palette, width: float, depth: float, low: float, high: float, count: int
 ) -> None:
-    """Doors or drawer fronts with handles on the front of a case."""
+    """Add doors or drawer fronts with handles to the front of a case."""
     finish, metal = case.parts[0][1], palette.pick(palette.metals)
     step = width / count
     for number in range(count):
@@ -37,7 +37,7 @@ def _wardrobe(case: Assembly, palette: Palette, rng: Rng) -> None:
 def _drawers(
     case: Assembly, wood: int, palette: Palette, width: float, depth: float, height: float, rows: int
 ) -> None:
-    """A chest of `rows` drawers."""
+    """Build a chest with `rows` rows of drawers."""
     case.add(box(width, depth, height - 0.06), palette.woods[wood % len(palette.woods)], (0, 0, 0.06))
     case.add(box(width * 0.9, depth * 0.9, 0.06), palette.dark)
     step = (height - 0.1) / rows
@@ -115,7 +115,7 @@ def _shelf(shelf: Assembly, palette: Palette, rng: Rng) -> None:
 
 
 def _counter(counter: Assembly, palette: Palette, rng: Rng) -> None:
-    """A run of kitchen units; sink and hob are set into the worktop."""
+    """Build a row of kitchen units with sink and hob in the worktop."""
     width, depth, height = rng.uniform(1.6, 3.0), 0.6, rng.uniform(0.86, 0.92)
     counter.add(
         box(width, depth - 0.03, height - 0.14),

@@ -1,4 +1,4 @@
-"""Single styles of furniture, drawn from the families that a split may use."""
+"""Styles of furniture, drawn from the families of a split."""
 
 import hashlib
 from collections.abc import Mapping
@@ -10,13 +10,13 @@ import numpy as np
 from imagination.scenes.procedural.furniture.families import FAMILIES, Family, Intervals
 from imagination.scenes.source import Split
 
-ODDS: Mapping[str, float] = MappingProxyType({"arms": 0.2})
-"""Probability of an option, where it is not 0.5: a chair with arms does not go far under a table."""
+OPTION_PROBABILITIES: Mapping[str, float] = MappingProxyType({"arms": 0.2})
+"""Probabilities of options other than 0.5: chairs with arms are rare because they hardly fit under tables."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """One member of a family: a value for each parameter, and the options it has."""
+    """Style of a family: a value for each parameter, and the chosen options."""
 
     family: Family
     values: Mapping[str, float]
@@ -30,7 +30,7 @@ class Style:
 
     @property
     def model(self) -> str:
-        """The family's name and a short key of the style, for reports."""
+        """Name of the family and a short hash of the style, for reports."""
         text = repr(
             (sorted((name, round(value, 6)) for name, value in self.values.items()), sorted(self.options))
         )
@@ -38,7 +38,7 @@ class Style:
 
 
 def draw_style(label: str, split: Split, rng: np.random.Generator) -> Style:
-    """A style of a random family with this label."""
+    """Draw a style of a random family of a label."""
     families = [family for family in FAMILIES if family.label == label and split in family.splits]
     family = families[int(rng.integers(len(families)))]
     values = {}
@@ -47,12 +47,14 @@ def draw_style(label: str, split: Split, rng: np.random.Generator) -> Style:
         cut = cuts[int(rng.choice(len(cuts), p=widths / widths.sum()))]
         values[name] = float(rng.uniform(cut.low, cut.high))
     return Style(
-        family, values, frozenset(name for name in family.options if rng.random() < ODDS.get(name, 0.5))
+        family,
+        values,
+        frozenset(name for name in family.options if rng.random() < OPTION_PROBABILITIES.get(name, 0.5)),
     )
 
 
 def families_of(split: Split) -> dict[str, dict[str, dict[str, Intervals]]]:
-    """What a split may contain: for each label, for each family, the intervals of each parameter."""
+    """Return the content of a split: for each label and family the intervals of each parameter."""
     table: dict[str, dict[str, dict[str, Intervals]]] = {}
     for family in FAMILIES:
         if split in family.splits:

@@ -1,4 +1,4 @@
-"""Dining tables, with the places where chairs go."""
+"""Dining tables with their seats."""
 
 from collections.abc import Callable, Mapping
 
@@ -10,30 +10,30 @@ from imagination.scenes.building_blocks.shapes import box, ellipse, lathe, prism
 from imagination.scenes.procedural.furniture.styles import Style
 
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-PLACE = 0.58
-"""Length of table edge that one diner takes, metres."""
+SEAT_WIDTH = 0.58
+"""Length of table edge for one seat, metres."""
 
 
 def around(half_x: float, half_y: float, height: float) -> Surface:
-    """A surface centred on the table."""
+    """Return a surface centred on the table."""
     return Surface(-half_x, -half_y, half_x, half_y, height)
 
 
 def _rectangular_seats(
     length: float, depth: float, reach: float, ends: float, legs: float, underside: float
 ) -> list[Seat]:
-    """Places along both long sides and at the ends.
+    """Return the seats along both long sides and at the ends.
 
     Args:
-        length, depth: of the top.
-        reach: how far chairs may go in from the long sides.
-        ends: how far chairs may go in at the ends; 0 for no place there.
-        legs: length of the long sides that legs take, both ends together.
-        underside: height above the chairs.
+        length, depth: size of the top, metres.
+        reach: maximum depth of chairs under the long sides, metres.
+        ends: maximum depth of chairs under the ends, metres; 0 for no seats there.
+        legs: total length of the long side that legs occupy, metres.
+        underside: height of the lowest part above the chairs, metres.
     """
     seats = []
     free = length - legs
-    count = max(1, int(free / PLACE))
+    count = max(1, int(free / SEAT_WIDTH))
     for x in (np.arange(count) - (count - 1) / 2) * free / count:
         for side in (-1.0, 1.0):
             yaw = np.pi if side > 0 else 0.0
@@ -48,7 +48,7 @@ def _rectangular_seats(
 
 
 def _round_seats(width: float, depth: float, reach: float, underside: float) -> list[Seat]:
-    """Places around an ellipse, facing its centre."""
+    """Return seats around an ellipse that face its centre."""
     count = int(np.clip(np.pi * (width + depth) / 2 / 0.78, 2, 8))
     seats = []
     for angle in np.arange(count) * 2 * np.pi / count:
@@ -59,13 +59,13 @@ def _round_seats(width: float, depth: float, reach: float, underside: float) -> 
 
 
 def square_legs(table: Assembly, finish: Finish, length: float, depth: float, leg: float, top: float) -> None:
-    """Four square legs flush with a rectangle's corners."""
+    """Add four square legs flush with the corners of a rectangle."""
     for sx, sy in CORNERS:
         table.add(box(leg, leg, top), finish, (sx * (length - leg) / 2, sy * (depth - leg) / 2, 0))
 
 
 def _rectangular(table: Assembly, style: Style, palette: Palette) -> None:
-    """Dining tables with a rectangular top on legs, trestles or panels."""
+    """Build a dining table with a rectangular top on legs, trestles or panels."""
     wood = palette.pick(palette.woods)
     base = palette.pick([wood, wood, *palette.woods, *palette.metals, *palette.paints[:1]])
     length, depth, height, thick = style["length"], style["depth"], style["height"], style["thick"]
@@ -116,7 +116,7 @@ def _rectangular(table: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _boat(table: Assembly, style: Style, palette: Palette) -> None:
-    """A long top with bowed sides on two columns."""
+    """Build a long table with bowed sides on two columns."""
     wood = palette.pick(palette.woods)
     length, depth, height, thick = style["length"] + 0.25, style["depth"], style["height"], style["thick"]
     along = np.linspace(-0.5, 0.5, 13)
@@ -138,7 +138,7 @@ def _boat(table: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _round(table: Assembly, style: Style, palette: Palette) -> None:
-    """Round dining tables on four legs."""
+    """Build a round dining table on four legs."""
     wood = palette.pick(palette.woods)
     across, height, thick, leg = style["across"], style["height"], style["thick"], style["leg"]
     table.add(prism(ellipse(across, across), height - thick, height), wood)
@@ -151,7 +151,7 @@ def _round(table: Assembly, style: Style, palette: Palette) -> None:
         table.add(box(2 * reach, 0.022, 0.06), base, (0, side * reach, height - thick - 0.06))
         table.add(box(0.022, 2 * reach, 0.06), base, (side * reach, 0, height - thick - 0.06))
     table.surfaces.append(around(across * 0.34, across * 0.34, height))
-    # four places between the legs
+    # four seats between the legs
     table.seats = [
         Seat(float(across / 2 * np.cos(a)), float(across / 2 * np.sin(a)), float(a + np.pi / 2), 2 * reach - 0.06,
              across * 0.3, height - thick - 0.06)
@@ -160,7 +160,7 @@ def _round(table: Assembly, style: Style, palette: Palette) -> None:
 
 
 def _pedestal(table: Assembly, style: Style, palette: Palette) -> None:
-    """A round or oval top on one column."""
+    """Build a round or oval table on one column."""
     top = palette.pick(palette.woods + palette.stones + palette.paints[:1])
     base = palette.pick([*palette.metals, *palette.woods, top])
     across, height, thick, stem = style["across"], style["height"], style["thick"], style["stem"]
@@ -189,7 +189,7 @@ BUILDERS: Mapping[str, Callable[[Assembly, Style, Palette], None]] = {
 
 
 def build_dining_table(style: Style, palette: Palette) -> Piece:
-    """A dining table of one style in the finishes of one home."""
+    """Build a dining table of one style with finishes of the palette."""
     table = Assembly(style.family.label, style.model)
     BUILDERS[style.family.name](table, style, palette)
     return table.finished()

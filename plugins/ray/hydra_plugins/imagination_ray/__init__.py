@@ -1,1 +1,1 @@
-"""Members of a sweep on a Ray cluster. Hydra takes launchers from packages under `hydra_plugins` only."""
+"""Launcher of sweeps on a Ray cluster. Hydra finds launchers in packages under `hydra_plugins` only."""

@@ -1,1 +1,1 @@
-"""An example plugin: a scene source, a unit and a callback."""
+"""Example plugin with a scene source, a unit and a callback."""

@@ -1,12 +1,16 @@
-"""A callback that counts the epochs done."""
+"""Callback that counts completed epochs."""
 
 from pathlib import Path
 
 from lightning import Callback, LightningModule, Trainer
 
 
-class CountRounds(Callback):
-    """Writes the number of the last round into a file."""
+class CountEpochs(Callback):
+    """Callback that writes the number of completed epochs into a file.
+
+    Args:
+        file: path of the file.
+    """
 
     def __init__(self, file: str) -> None:
         self.file = Path(file)

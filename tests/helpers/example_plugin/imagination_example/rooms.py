@@ -1,4 +1,4 @@
-"""A scene source: rectangular rooms, each with one seat in its middle."""
+"""Scene source of rectangular rooms with one seat in the middle."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ class BoxRooms:
     """Rooms of 4 m by 4 m and more; the seat's label is "seat".
 
     Attributes:
-        homes: number of rooms in each split.
-        robot_radius: metres.
+        rooms: number of rooms in each split.
+        robot_radius: radius of the robot, metres.
     """
 
-    homes: Mapping[str, int]
+    rooms: Mapping[str, int]
     robot_radius: float
     name: str = "box_rooms"
 
     def scenes(self, split: Split) -> list[str]:
-        return [f"{split}_{number}" for number in range(self.homes[split])]
+        return [f"{split}_{number}" for number in range(self.rooms[split])]
 
     def load(self, scene: str) -> Scene:
         check_choice("scene", scene, [name for split in SPLITS for name in self.scenes(split)])
@@ -38,7 +38,7 @@ class BoxRooms:
             _placed("building", room, (0.8, 0.8, 0.7)),
             _placed("seat", box(0.5, 0.5, 0.8), (0.7, 0.2, 0.2)),
         ]
-        mesh = assemble(objects)  # a thing's number is its instance id; the building is 0
+        mesh = assemble(objects)  # the index of an object is its instance id; the building is 0
         seat = object_of(1, objects[1], "chair")
         return Scene(scene, mesh, Lighting(), (seat,), free_space(mesh, 0.0, self.robot_radius))
 
@@ -49,4 +49,4 @@ class BoxRooms:
 def _placed(label: str, solid: Solid, colour: tuple[float, float, float]) -> Placed:
     piece = Assembly(label)
     piece.add(solid, Finish(Material(colour)))
-    return Placed(piece.postprocess())
+    return Placed(piece.finished())

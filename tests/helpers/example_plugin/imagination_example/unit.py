@@ -1,4 +1,4 @@
-"""A unit that imagines from the egocentric depth projection alone."""
+"""Unit that imagines from the egocentric depth projection alone."""
 
 from collections.abc import Sequence
 

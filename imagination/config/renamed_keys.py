@@ -1,0 +1,121 @@
+"""Refuse configuration keys and options of earlier versions, with the new name."""
+
+import re
+from collections.abc import Iterable, Mapping
+
+from imagination.utils.errors import UserError
+
+RENAMED_PARTS: Mapping[str, str] = {
+    "mirrored_answers": "tta_hflip",
+    "dilated_answers": "postprocess_dilation",
+    "held_out_views": "eval_views",
+    "held_out_sampler": "eval_sampler",
+    "balanced_share": "balanced_fraction",
+    "mirrored_share": "hflip_probability",
+    "truth_image": "gt_image",
+    "truth_spec": "ground_truth_spec",
+    "eval_homes": "eval_scenes",
+    "known_homes": "known_scenes",
+    "hrnet_rounds": "hrnet_epochs",
+    "hrnet_most_rounds": "hrnet_max_epochs",
+    "every_n_rounds": "every_n_epochs",
+    "min_rounds": "min_epochs",
+    "collecting_rounds": "collection_epochs",
+    "until_flat": "early_stopping",
+    "segmentation_pictures": "segmentation_images",
+}
+"""New names of parts of dotted keys, wherever they stand."""
+
+RENAMED_KEYS: Mapping[str, str] = {
+    "scale.homes": "scale.scenes",
+    "scale.rounds": "scale.epochs",
+    "kernels.truth": "kernels.ground_truth",
+    "data.sampler.share": "data.sampler.fraction",
+    "callbacks.pictures": "callbacks.unit_images",
+    "callbacks.record": "callbacks.training_stats",
+    "callbacks.seeding": "callbacks.seed_per_epoch",
+    "callbacks.progress": "callbacks.progress_bar",
+    "callbacks.early_stopping.margin": "callbacks.early_stopping.min_delta",
+    "callbacks.mapping_evaluation.homes": "callbacks.mapping_evaluation.scenes",
+}
+"""New names of keys, and of what lies below them."""
+
+RENAMED_PATTERNS: Mapping[str, str] = {
+    r"evaluation\.approaches\.(\w+)\.finish": r"evaluation.approaches.\1.postprocess",
+    r"categories\.(\w+)\.members": r"categories.\1.aliases",
+}
+"""New names of keys with a part that users choose."""
+
+RENAMED_OPTIONS: Mapping[tuple[str, str], str] = {
+    ("scale", "desk"): "small",
+    ("mapping/registration", "overwrite"): "latest",
+    ("callbacks", "pictures"): "unit_images",
+    ("callbacks", "segmentation_pictures"): "segmentation_images",
+    ("callbacks", "record"): "training_stats",
+    ("callbacks", "seeding"): "seed_per_epoch",
+    ("callbacks", "progress"): "progress_bar",
+    ("callbacks", "until_flat"): "early_stopping",
+}
+"""New names of options, by group and old name."""
+
+REMOVED_KEYS: Mapping[tuple[str, ...], Mapping[str, str]] = {
+    ("map", "serve"): {
+        "limits": "the limits of the robot's camera are constants of imagination.mapping.semantic_mapper",
+        "max_speed": "the largest speed of a pose is a constant of imagination.recordings.pose_filters",
+    },
+    ("export",): {
+        "look_once": "an exported unit predicts as its checkpoint does (scale.tta_hflip in training)",
+        "tolerance": "the tolerance of an exported unit is a constant of imagination.deployment.export",
+        "max_loss": "the allowed loss of IoU is a constant of imagination.deployment.export",
+    },
+    ("train", "evaluate", "study"): {
+        "evaluation.approaches.imagination_dilated": "its rows repeated those of imagination in every table",
+    },
+}
+"""Keys of commands that are gone, with the reason."""
+
+
+def check_renamed(command: str, overrides: Iterable[str]) -> None:
+    """Check that overrides use no key or option of an earlier version.
+
+    Args:
+        command: name of the command, such as "train".
+        overrides: words of a command line.
+
+    Raises:
+        UserError: with the old name and the new one.
+    """
+    for text in overrides:
+        name, equals, value = text.lstrip("+~").partition("=")
+        if not equals or not re.match(r"[A-Za-z]", name):
+            continue
+        group = name.partition("@")[0]
+        for option in re.split(r"[\[\], ]+", value):
+            if new := RENAMED_OPTIONS.get((group, option)):
+                raise UserError(f"{name}: got {option!r}, which was renamed; expected {name}={new}")
+        if command == "render" and name == "shards":
+            raise UserError(
+                f"shards: got {text!r}, which is another command now; expected "
+                f"python -m imagination.prepare_shards shards={value}"
+            )
+        if (new_name := renamed(name)) != name:
+            raise UserError(f"{name}: was renamed; got {text!r}, expected {new_name}={value}")
+        removed = (keys for commands, keys in REMOVED_KEYS.items() if command in commands)
+        for key, reason in (item for keys in removed for item in keys.items()):
+            if name == key or name.startswith(f"{key}."):
+                raise UserError(f"{name}: was removed; got {text!r}, expected no such key: {reason}")
+
+
+def renamed(key: str) -> str:
+    """Return today's name of a dotted key.
+
+    >>> renamed("scale.homes.train"), renamed("callbacks.until_flat.margin"), renamed("seed")
+    ('scale.scenes.train', 'callbacks.early_stopping.min_delta', 'seed')
+    """
+    key = ".".join(RENAMED_PARTS.get(part, part) for part in key.split("."))
+    for old, new in RENAMED_KEYS.items():
+        if key == old or key.startswith(f"{old}."):
+            key = new + key.removeprefix(old)
+    for pattern, replacement in RENAMED_PATTERNS.items():
+        key = re.sub(rf"^{pattern}(?=\.|$)", replacement, key)
+    return key

@@ -1,0 +1,71 @@
+"""Keys and options of earlier versions are refused with the new name."""
+
+import pytest
+from omegaconf import OmegaConf
+
+from imagination.config.compose import compose
+from imagination.config.renamed_keys import (
+    RENAMED_KEYS,
+    RENAMED_OPTIONS,
+    RENAMED_PARTS,
+    check_renamed,
+    renamed,
+)
+from imagination.utils.errors import UserError
+from tests.conftest import ROOT, Command
+
+
+@pytest.mark.parametrize(
+    ("command", "override", "expected"),
+    [
+        ("train", "scale=desk", "scale=small"),
+        ("train", "scale.homes.train=3", "scale.scenes.train=3"),
+        ("train", "+callbacks.until_flat.margin=0.1", "callbacks.early_stopping.min_delta=0.1"),
+        ("train", "callbacks=[replay_buffer,record]", "callbacks=training_stats"),
+        ("train", "model.unit.mirrored_answers=true", "model.unit.tta_hflip=true"),
+        ("evaluate", "mapping/registration=overwrite", "mapping/registration=latest"),
+        ("evaluate", "evaluation.approaches.mine.finish=grow", "evaluation.approaches.mine.postprocess=grow"),
+        ("train", "categories.chair.members.mine=[seat]", "categories.chair.aliases.mine=[seat]"),
+        ("render", "+shards=folder", "python -m imagination.prepare_shards shards=folder"),
+        ("map", "limits.tilt=60", "semantic_mapper"),
+        ("export", "look_once=true", "tta_hflip"),
+    ],
+)
+def test_old_names_are_refused_with_the_new_one(command: str, override: str, expected: str) -> None:
+    with pytest.raises(UserError) as error:
+        check_renamed(command, [override])
+    assert expected in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["scale.epochs=3", "seed=1", "name=overwrite", "-m", "--help", "callbacks=[default]", "x.homes=2"],
+)
+def test_todays_names_pass(override: str) -> None:
+    check_renamed("train", [override])
+
+
+def test_new_names_exist_and_old_ones_do_not() -> None:
+    """Renamed keys and options are those of the configuration as it is."""
+    config = compose("train", ["+experiment=segmentation_hrnet", "data/sampler=balanced", "paths.run=."])
+    units = compose("train", ["+experiment=chair_unet", "paths.run=."])
+    for old, new in RENAMED_KEYS.items():
+        assert any(OmegaConf.select(each, new) is not None for each in (config, units)), new
+        assert all(OmegaConf.select(each, old) is None for each in (config, units)), old
+    text = OmegaConf.to_yaml(config) + OmegaConf.to_yaml(units)
+    for old, new in RENAMED_PARTS.items():
+        assert f"{new}:" in text and f" {old}:" not in text, (old, new)
+    for (group, old), new in RENAMED_OPTIONS.items():
+        assert (ROOT / "conf" / group / f"{new}.yaml").is_file(), (group, new)
+        assert not (ROOT / "conf" / group / f"{old}.yaml").exists(), (group, old)
+
+
+def test_renaming_is_final() -> None:
+    for name in (*RENAMED_KEYS.values(), *RENAMED_PARTS.values()):
+        assert renamed(name) == name
+
+
+def test_commands_refuse_old_names(command: Command) -> None:
+    done = command("train", "+experiment=chair_unet", "scale=test", "scale.rounds=1")
+    assert done.returncode == 2
+    assert "scale.rounds" in done.stderr and "scale.epochs=1" in done.stderr

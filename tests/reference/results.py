@@ -1,0 +1,90 @@
+"""Compute what the reference holds, from today's code."""
+
+import csv
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hydra.utils import instantiate
+
+from imagination.config.compose import compose
+from imagination.evaluation.trials import ViewpointSampling, trials_of, views_of
+from imagination.scenes.scene import Scene
+from imagination.views.observer import Observer
+from imagination.views.pose_samplers import sample_poses
+
+FOLDER = Path(__file__).parent
+SCENES = "train_0000", "train_0001", "val_0000", "test_0000"
+EXPERIMENTS = "chair_unet", "bed_unet", "table_unet", "segmentation_hrnet"
+OVERRIDES = "scale=test", "scale.precision=32-true"
+MAPS = "occupied", "label", "segmented", "truth"
+POSES = 16
+"""Number of sampled poses of each scene."""
+
+
+def make_observer(cache: Path) -> Observer:
+    """Return the observer of scale=test."""
+    config = compose("train", ["+experiment=chair_unet", *OVERRIDES, "paths.run=.", f"paths.cache={cache}"])
+    observer: Observer = instantiate(config.data.observer)
+    return observer
+
+
+def digest(*arrays: np.ndarray) -> str:
+    """Return a hash of arrays; floats are rounded to 0.1 mm, since processors differ in the last digits."""
+    result = hashlib.sha256()
+    for array in arrays:
+        exact = (
+            array
+            if array.dtype.kind in "biu"
+            else np.round(np.asarray(array, np.float64) * 1e4).astype(np.int64)
+        )
+        result.update(repr(exact.shape).encode() + np.ascontiguousarray(exact).tobytes())
+    return result.hexdigest()[:16]
+
+
+def scene_hashes(scene: Scene) -> dict[str, str]:
+    """Return hashes of a scene's geometry, objects and free space."""
+    boxes = [(*obj.box.centre, *obj.box.size, obj.box.yaw) for obj in scene.objects]
+    labels = " ".join(f"{obj.instance} {obj.label} {obj.category}" for obj in scene.objects)
+    return {
+        "vertices": digest(scene.mesh.vertices),
+        "faces": digest(scene.mesh.faces, scene.mesh.face_instance, scene.mesh.face_material),
+        "boxes": digest(np.array(boxes)),
+        "labels": hashlib.sha256(labels.encode()).hexdigest()[:16],
+        "free_space": digest(scene.free_space.mask),
+    }
+
+
+def pose_hashes(observer: Observer, name: str) -> dict[str, str]:
+    """Return hashes of sampled poses and, for each cell width, of the viewpoints of Algorithm 1."""
+    scene = observer.scene(name)
+    sampled = sample_poses(scene.free_space, POSES, np.random.default_rng(0))
+    hashes = {"sampled": digest(np.array([[pose.x, pose.y, pose.theta] for pose in sampled]))}
+    for trial in trials_of([name], (3.0, 2.5), 1):
+        views = views_of(observer, trial, ViewpointSampling(seed=0, orientations=2))
+        hashes[f"viewpoints_{trial.cell_width:g}m"] = digest(views["pose"])
+    return hashes
+
+
+def integer_maps(observer: Observer) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the ground-truth maps of all scenes, such as ("test_0000/truth", M_gt)."""
+    for name in SCENES:
+        ground_truth = observer.ground_truth(name)
+        for field in MAPS:
+            yield f"{name}/{field}", getattr(ground_truth, field)
+
+
+def table(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the IoU and pixel columns of a mapping.csv by approach, category and cell width."""
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file))
+    return {
+        f"{row['approach']} {row['category']} {row['cell_width']}": {
+            name: float(value)
+            for name, value in row.items()
+            if name.startswith("iou") or name in ("correct_pixels", "false_positives", "gt_pixels")
+        }
+        for row in rows
+    }
