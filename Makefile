@@ -1,6 +1,5 @@
-# setup: the environment in .venv · train: the main job · study: the paper's comparison · test: lints, types, tests
-# slow: the long checks (of Ray and Optuna where these extras are) · bench: how fast each part is
-# soak, fuzz: faults and foreign files
+# setup: environment in .venv · train: train a unit · study: comparison of the paper · test: lints, types, imports, tests
+# slow: long tests (with Ray and Optuna if installed) · bench: benchmarks · soak: fault injection · fuzz: fuzzing of parsers
 VENV ?= .venv
 PYTHON ?= python3
 RUN := $(VENV)/bin/python

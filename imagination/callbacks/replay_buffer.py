@@ -64,8 +64,8 @@ class ReplayBufferCallback(Callback):
         self.prefill = prefill_steps // self.update_interval
         self.hflip_probability = check_range("hflip_probability", hflip_probability, 0.0, 1.0)
         self.collection_epochs = int(check_range("collection_epochs", collection_epochs, 1, 10**9, "epochs"))
-        self._resident = 0  # number of collections that were inserted, or skipped as too old
-        self._started: dict[int, Callable[[], Views]] = {}
+        self._next = 0  # index of the next collection to insert
+        self._started: dict[int, Callable[[], Views]] = {}  # functions that wait for collections, by index
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
@@ -77,7 +77,7 @@ class ReplayBufferCallback(Callback):
             trainer.accumulate_grad_batches,
             1,
             per_process,
-            "parts of a per-process batch",
+            "micro-batches",
         )
         data.epochs = _EpochBatches(self, data, trainer)
 
@@ -105,15 +105,15 @@ class ReplayBufferCallback(Callback):
         )
 
     def _fill(self, data: SceneData, collector: Collector, newest: int, lookahead: int) -> None:
-        """Insert every collection up to `newest` that fits into the buffer, and start `lookahead` collections early."""
+        """Insert the collections up to `newest` that fit into the buffer; start up to `lookahead` collections in advance."""
         capacity = -(-self.buffer.size // collector.views_per_collection)
-        indices = range(max(self._resident, newest + 1 - capacity), newest + 1)
+        indices = range(max(self._next, newest + 1 - capacity), newest + 1)
         for index in progress(indices, "collecting views") if len(indices) > 1 else indices:
             for upcoming in range(index, min(index + lookahead, newest + 1)):
                 self._start(collector, upcoming)
             views = self._started.pop(index)()
             self.buffer.insert({name: views[name] for name in data.fields})
-        self._resident = newest + 1
+        self._next = newest + 1
 
     def _start(self, collector: Collector, index: int) -> None:
         if index not in self._started:
@@ -121,7 +121,7 @@ class ReplayBufferCallback(Callback):
 
 
 DRAWING_THREADS = 4
-"""Number of prefetch threads on a GPU: at the paper's scale, drawing a batch takes as long as a step of an H100."""
+"""Number of prefetch threads on a GPU: at the paper's scale, drawing a batch takes as long as a training step on an H100."""
 
 
 class _EpochBatches:
@@ -135,8 +135,8 @@ class _EpochBatches:
 
     def __iter__(self) -> Iterator[Batch]:
         threads = DRAWING_THREADS if self._on_gpu else 0
-        for batch in prefetch(self._batch, self.callback.update_batches, threads):
-            yield from batch
+        for micro_batches in prefetch(self._batch, self.callback.update_batches, threads):
+            yield from micro_batches
 
     @property
     def _on_gpu(self) -> bool:
@@ -155,15 +155,15 @@ class _EpochBatches:
 
 
 def pinned(batch: Batch) -> Batch:
-    """Copy a batch to pinned memory, which is transferred to a GPU ten times as fast."""
+    """Copy a batch to pinned memory, from which a transfer to a GPU is ten times as fast."""
     return {name: values.pin_memory() for name, values in batch.items()}
 
 
 def parts(batch: Batch, count: int) -> Iterator[Batch]:
     """Yield `count` micro-batches of a batch for gradient accumulation.
 
-    Each micro-batch gets the values of the whole batch that scale its loss: the counts of `batch_counts` for maps, the
-    number of views for first-person images.
+    Each micro-batch also holds the values of the whole batch that scale the loss: the counts of `batch_counts` for
+    maps, the number of views for first-person images.
     """
     if count == 1:
         yield batch

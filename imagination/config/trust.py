@@ -21,7 +21,7 @@ TRUSTED = (
 """Packages whose classes a config from a file may instantiate, in addition to plugins."""
 
 RESOLVER = re.compile(r"\$\{[\w.]+:")
-"""Pattern of a resolver call in a value, such as ${oc.decode:…}, which could build a target from text."""
+"""Pattern of a resolver call in a value, such as ${oc.decode:…}, which could construct a `_target_` from text."""
 
 
 def check_targets(config: DictConfig) -> None:
@@ -32,7 +32,7 @@ def check_targets(config: DictConfig) -> None:
     """
     if call := RESOLVER.search(OmegaConf.to_yaml(config)):
         raise UserError(
-            f"config: got a value with {call[0]!r}, expected plain values and references; start a new run"
+            f"config: got a value with the resolver call {call[0]!r}, expected constants and references; start a new run"
         )
     allowed = {*TRUSTED, *(package for plugin in activate() for package in plugin.packages)}
     top_packages = {prefix.partition(".")[0] for prefix in allowed}
@@ -43,7 +43,7 @@ def check_targets(config: DictConfig) -> None:
             raise UserError(
                 f"_target_: got {target!r}, which cannot be imported; install its plugin"
             ) from error
-        # the class, or the class of a classmethod; its module of definition counts, not the path of the import
+        # a class or a classmethod; the module that defines the class decides, not the path that imports it
         cls = obj if inspect.isclass(obj) else getattr(obj, "__self__", None)
         module = cls.__module__ if inspect.isclass(cls) else ""
         if not any(module == prefix or module.startswith(f"{prefix}.") for prefix in allowed):

@@ -18,7 +18,7 @@ from imagination.evaluation.approaches import NEEDS, Approach, Predictions, Sett
 from imagination.evaluation.records import Counts, Example, Key, Report, SelectedThresholds
 from imagination.evaluation.saved_maps import SavedMaps
 from imagination.evaluation.threshold_selection import THRESHOLDS, select_threshold
-from imagination.evaluation.trial_worker import Arrays, Plan, count_trial, evaluate_trial, maps_of
+from imagination.evaluation.trial_worker import Arrays, TrialPlan, count_trial, evaluate_trial, maps_of
 from imagination.evaluation.trials import Trial, ViewpointSampling, render, trials_of, views_of
 from imagination.utils.errors import UserError, check_choice, check_range, first_of
 from imagination.utils.precision import PRECISIONS
@@ -231,8 +231,8 @@ class MappingProtocol:
             counts[Key(name, category, width)] = np.stack(rows).reshape(-1, self.viewpoint_sets, 3)
         return counts
 
-    def _plan(self, model: ModelUnderTest) -> Plan:
-        return Plan(self.approaches, model.setting, ViewpointSampling(self.seed, self.orientations))
+    def _plan(self, model: ModelUnderTest) -> TrialPlan:
+        return TrialPlan(self.approaches, model.setting, ViewpointSampling(self.seed, self.orientations))
 
     def _each(
         self,
@@ -270,7 +270,7 @@ class MappingProtocol:
                     cache.store(KIND, key, result)
             yield trial, result
 
-    def _predict(self, model: ModelUnderTest, plan: Plan, views: Views) -> Predictions:
+    def _predict(self, model: ModelUnderTest, plan: TrialPlan, views: Views) -> Predictions:
         """Predict for the views of a trial; an empty viewpoint set gives arrays of length 0."""
         if len(views["pose"]):
             return model.predict(views, plan.needs)

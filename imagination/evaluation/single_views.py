@@ -21,7 +21,7 @@ from imagination.utils.tabular import Row, to_csv
 from imagination.views.collector import Views
 
 MIN_LABEL = 0.1
-"""Smallest label of a ranked view, square metres; in a smaller label a single cell decides the IoU."""
+"""Minimum label area of a ranked view, square metres; with a smaller label, a single cell decides the IoU."""
 
 RANKS = ("best", "median", "worst")
 """Ranks of the views in the figures."""
@@ -30,17 +30,17 @@ CELLS = ("all", "seen", "unseen")
 """Subsets of cells for the counts of the network's probabilities: all, seen by depth, not seen."""
 
 FILE = "single_views.npz"
-"""File in the folder of the results with the views for the figures."""
+"""Name of the file, in the folder of the results, with the views for the figures."""
 
 TABLE = "thresholds.csv"
-"""File in tables/ with correct, false-positive and ground-truth cells of single views at every threshold."""
+"""Name of the file, in tables/, with correct, false-positive and ground-truth cells at every threshold."""
 
 
 class SingleView(NamedTuple):
-    """One view and the map of each approach from it, with the threshold and kernel of the global map.
+    """One view and the map of each approach from it, with the threshold and kernel selected for global maps.
 
     Attributes:
-        rank: best, median or worst by IoU of the approach in `ranked_by`.
+        rank: best, median or worst by IoU of the ranking approach; see `ranked_by`.
         category: name of the category.
         scene: name of the scene.
         pose: x, y (metres) and heading (radians) of the robot.
@@ -85,7 +85,7 @@ class SingleViews(NamedTuple):
 
 
 class _Ranked(NamedTuple):
-    """Sort key of a view (IoU, cells of the label), its trial and its index in the trial."""
+    """View as a candidate for the figures: its IoU, number of label cells, trial, and index in the trial."""
 
     iou: float
     size: int
@@ -109,14 +109,14 @@ def evaluate_single_views(
     """Evaluate each view of every scene's first viewpoint set at the smallest cell width.
 
     Args:
-        protocol: protocol with the approaches and the draw of viewpoints.
+        protocol: approaches and sampling of viewpoints.
         model: networks and worker processes.
         scenes: names of the test scenes.
         selected: threshold and kernel of each approach and category.
         imaginable: dilation kernel δ of V_label, cells.
 
     Raises:
-        UserError: if a category is in none of the scenes.
+        UserError: if no scene contains one of the categories.
     """
     present = scenes_with(model, scenes)
     sampling = ViewpointSampling(protocol.seed, protocol.orientations)
@@ -126,33 +126,33 @@ def evaluate_single_views(
     empty = np.zeros((len(THRESHOLDS), 3), np.int64)
     counts = {(name, category): empty.copy() for category in present for name in names}
     has_unit = "maps" in model.predict.gives
-    cells = {(part, category): empty.copy() for category in present for part in CELLS if has_unit}
+    cells = {(subset, category): empty.copy() for category in present for subset in CELLS if has_unit}
     ranked: dict[str, list[_Ranked]] = {category: [] for category in present}
-    number = 0
+    num_views = 0
     for trial in trials:
         views = views_of(observer, trial, sampling)
         if not len(views["pose"]):
             continue
-        number += len(views["pose"])
+        num_views += len(views["pose"])
         for view in _views(protocol, model, views, selected, imaginable):
             score = view.scores[ranked_by(names)]
             for name in names:
                 counts[name, view.category] += confusion_counts(view.scores[name], view.label, THRESHOLDS)
-            for part, mask in zip(CELLS, (view.seen | True, view.seen, ~view.seen), strict=True):
+            for subset, mask in zip(CELLS, (view.seen | True, view.seen, ~view.seen), strict=True):
                 if has_unit:
                     inside = np.where(mask, view.probabilities, np.float32(0))
-                    cells[part, view.category] += confusion_counts(inside, view.label & mask, THRESHOLDS)
+                    cells[subset, view.category] += confusion_counts(inside, view.label & mask, THRESHOLDS)
             predicted = score >= np.float32(selected[ranked_by(names), view.category].threshold)
-            value = float(iou(count(predicted, view.label)))
-            ranked[view.category].append(_Ranked(value, int(view.label.sum()), trial, view.view_index))
+            view_iou = float(iou(count(predicted, view.label)))
+            ranked[view.category].append(_Ranked(view_iou, int(view.label.sum()), trial, view.view_index))
     shown = []
     for category, candidates in ranked.items():
-        for rank, best in picks(candidates, model.setting.ego.resolution).items():
-            views = views_of(observer, best.trial, sampling)
+        for rank, pick in picks(candidates, model.setting.ego.resolution).items():
+            views = views_of(observer, pick.trial, sampling)
             for view in _views(protocol, model, views, selected, imaginable):
-                if (view.category, view.view_index) == (category, best.view_index):
-                    shown.append(_shown(view, rank, best, views, selected))
-    return SingleViews(shown, counts, cells, number, model.setting.ego.resolution)
+                if (view.category, view.view_index) == (category, pick.view_index):
+                    shown.append(_shown(view, rank, pick, views, selected))
+    return SingleViews(shown, counts, cells, num_views, model.setting.ego.resolution)
 
 
 def picks(views: Sequence[_Ranked], resolution: float) -> dict[str, _Ranked]:
@@ -186,7 +186,7 @@ def _views(
     selected: SelectedThresholds,
     imaginable: int,
 ) -> Iterator[_View]:
-    """Yield every category of every view with the score maps of all approaches."""
+    """Yield each view once per category, with the score maps of all approaches."""
     setting = model.setting
     needs = {need for approach in protocol.approaches.values() if (need := approach.evidence.needs)}
     predictions = model.predict(views, (needs | {"maps"}) & model.predict.gives)
@@ -218,6 +218,7 @@ def _views(
 
 
 def _shown(view: _View, rank: str, ranked: _Ranked, views: Views, selected: SelectedThresholds) -> SingleView:
+    """Return a view for the figures, with its predicted maps."""
     predicted = {
         name: score >= np.float32(selected[name, view.category].threshold)
         for name, score in view.scores.items()
@@ -230,15 +231,15 @@ def _shown(view: _View, rank: str, ranked: _Ranked, views: Views, selected: Sele
 
 
 def threshold_rows(results: SingleViews) -> list[Row]:
-    """Return counts of single views at every threshold, for each approach and for the network over `CELLS`."""
+    """Return the rows of thresholds.csv: counts at every threshold, for each approach and for the network by `CELLS`."""
     groups: list[tuple[str, str, str, Int64[np.ndarray, "t 3"]]] = [
         *((name, "all", category, counts) for (name, category), counts in results.counts.items()),
-        *(("network", part, category, counts) for (part, category), counts in results.cells.items()),
+        *(("network", subset, category, counts) for (subset, category), counts in results.cells.items()),
     ]
     return [
         {
             "approach": name,
-            "cells": part,
+            "cells": subset,
             "category": category,
             "views": str(results.views),
             "threshold": f"{threshold:.2f}",
@@ -246,13 +247,13 @@ def threshold_rows(results: SingleViews) -> list[Row]:
             "false_positives": str(false),
             "gt_cells": str(gt),
         }
-        for name, part, category, counts in groups
+        for name, subset, category, counts in groups
         for threshold, (correct, false, gt) in zip(THRESHOLDS.tolist(), counts.tolist(), strict=True)
     ]
 
 
 def to_arrays(results: SingleViews) -> dict[str, np.ndarray]:
-    """Return the shown views as arrays with a leading axis; `predicted` has a second one for `approaches`."""
+    """Return the shown views as arrays with a leading axis; `predicted` has a second axis for `approaches`."""
     shown = results.shown
     names = list(shown[0].predicted) if shown else []
     arrays = {
@@ -270,7 +271,7 @@ def to_arrays(results: SingleViews) -> dict[str, np.ndarray]:
 
 
 def from_arrays(arrays: Mapping[str, np.ndarray]) -> list[SingleView]:
-    """Return the views from the arrays of `to_arrays`."""
+    """Return the views whose arrays `to_arrays` returned."""
     names = arrays["approaches"].tolist()
     fields = [field for field in SingleView._fields if field != "predicted"]
     return [
@@ -289,10 +290,10 @@ def write(folder: Path, results: SingleViews) -> None:
 
 
 def load(path: Path) -> tuple[list[SingleView], float]:
-    """Read single_views.npz: the views and the metres per cell.
+    """Read single_views.npz and return the views and the resolution, metres per cell.
 
     Raises:
-        UserError: if the file is missing, damaged or no file of single views.
+        UserError: if the file is missing, damaged or not a file of single views.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -300,14 +301,16 @@ def load(path: Path) -> tuple[list[SingleView], float]:
         views = [_checked(view) for view in from_arrays(arrays)]
         return views, check_range("resolution", float(arrays["resolution"]), 0.005, 1.0)
     except Exception as error:  # zip, zlib and NumPy raise various types on damaged files
-        raise UserError(f"single views {path}: is damaged ({error}); evaluate again to make it") from error
+        raise UserError(
+            f"single views: {path} cannot be read ({error}); run the evaluation again to write it"
+        ) from error
 
 
 def _checked(view: SingleView) -> SingleView:
     """Check types and shapes of the arrays and return the view.
 
     Raises:
-        UserError: if an array does not fit, with the first such array.
+        UserError: if an array has an unexpected type or shape; the message names the first one.
     """
     size = view.label.shape[0]
     maps = {"seen": view.seen, "occupied": view.occupied, "label": view.label, **view.predicted}
@@ -321,7 +324,7 @@ def _checked(view: SingleView) -> SingleView:
             raise UserError(f"{name}: got {array.dtype} of shape {array.shape}, expected {kind} of {shape}")
     names = [view.rank, view.category, view.scene, *view.predicted]
     if not view.predicted or not all(isinstance(name, str) for name in names):
-        raise UserError(f"rank, category, scene, approaches: got {names}, expected names")
+        raise UserError(f"rank, category, scene, approaches: got {names}, expected names as text")
     return view
 
 

@@ -26,7 +26,7 @@ Scores = Mapping[str, Float32[np.ndarray, "c h w"]]
 """Score map of each approach, before its threshold."""
 
 
-class Plan(NamedTuple):
+class TrialPlan(NamedTuple):
     """Settings of the evaluation of every trial.
 
     Attributes:
@@ -60,7 +60,7 @@ class Plan(NamedTuple):
         return area_of(gt, self.setting.layers, views["pose"], self.setting.ego, margin)
 
 
-def count_trial(observer: Observer, scene: str, trial: Trial, plan: Plan, predictions: Predictions) -> Arrays:
+def count_trial(observer: Observer, scene: str, trial: Trial, plan: TrialPlan, predictions: Predictions) -> Arrays:
     """Count pixels for threshold selection: [c, k, t, 3] by category, kernel and threshold for each approach."""
     views = views_of(observer, trial, plan.sampling)
     area = plan.area(observer, trial, views)
@@ -89,7 +89,7 @@ def evaluate_trial(
     observer: Observer,
     scene: str,
     trial: Trial,
-    plan: Plan,
+    plan: TrialPlan,
     selected: SelectedThresholds,
     predictions: Predictions,
 ) -> Arrays:
@@ -137,7 +137,7 @@ def evaluate_trial(
     }
 
 
-def maps_of(trial: Trial, plan: Plan, arrays: Arrays) -> SavedMaps:
+def maps_of(trial: Trial, plan: TrialPlan, arrays: Arrays) -> SavedMaps:
     """Return the maps in the arrays of `evaluate_trial`."""
     x, y = arrays["origin"].tolist()
     rows, columns = arrays["seen"].shape
@@ -147,7 +147,7 @@ def maps_of(trial: Trial, plan: Plan, arrays: Arrays) -> SavedMaps:
 
 
 def _levels(
-    scores: Scores, plan: Plan, area: Area, selected: SelectedThresholds
+    scores: Scores, plan: TrialPlan, area: Area, selected: SelectedThresholds
 ) -> UInt8[np.ndarray, "a c h w"]:
     """Return the number of `THRESHOLDS` that each cell of the postprocessed maps reaches."""
     levels = np.zeros((len(plan.approaches), *area.truth.shape), np.uint8)
@@ -161,7 +161,7 @@ def _levels(
     return levels
 
 
-def _thresholds(plan: Plan, selected: SelectedThresholds) -> UInt8[np.ndarray, "a c"]:
+def _thresholds(plan: TrialPlan, selected: SelectedThresholds) -> UInt8[np.ndarray, "a c"]:
     """Return the selected thresholds in hundredths."""
     return np.array(
         [

@@ -1,4 +1,4 @@
-"""Registration of egocentric views into a global map with known poses (docs/conventions.md)."""
+"""Registration of egocentric views with known poses into a global map (docs/conventions.md)."""
 
 import os
 from collections.abc import Sequence
@@ -15,21 +15,20 @@ from imagination.utils.errors import UserError
 from imagination.utils.jit import compiled
 
 BYTES_PER_CELL = 8
-"""Probability (float32) and number of views that wrote the cell (int32), negative while the cell was only imagined."""
+"""Memory per cell and layer: probability (float32) and number of views (int32, negative if the cell was only imagined)."""
 
 SAVING_BYTES_PER_CELL = 64
-"""Memory that saving needs per cell of the grid: the picture of the map is drawn with four float images at once."""
+"""Memory that saving a map needs per cell of the grid: drawing its picture holds four float images at once."""
 
 CHUNK = 128
-"""Step in which a map is extended, cells."""
+"""Number of rows or columns by which a map is extended at once, cells."""
 
 
 class Mapper:
     """Global map of probabilities, one layer per category, into which views are registered.
 
-    The first view that writes a cell sets its value, and so does the first view that observes a cell which was only
-    imagined before: with the rule alone, a wrong prediction would outweigh later observations (docs/conventions.md has
-    the figures).
+    The first view that writes a cell sets its value. So does the first view that observes a cell which was only
+    imagined before; otherwise a wrong prediction would outweigh later observations (measured in docs/conventions.md).
 
     A view changes only the cells of its window, which are sampled by inverse mapping (bilinear for values, nearest for
     masks), so the cost depends on the size of the egocentric map and not on that of the global map.
@@ -61,13 +60,13 @@ class Mapper:
             raise UserError("categories: got none, expected the name of at least one layer")
         if not np.isclose(ego.resolution, grid.resolution, rtol=1e-6, atol=0):
             raise UserError(
-                f"resolution: got {ego.resolution} m for views, {grid.resolution} m for the map, expected one for both"
+                f"resolution: got {ego.resolution} m for views, {grid.resolution} m for the map, expected equal values"
             )
         _check_size(len(categories), grid)
         self.grid, self.ego, self.categories, self.rule = grid, ego, list(categories), rule
         side = int(np.ceil(np.sqrt(2) * ego.cells)) + 1  # window of a view rotated by 45 degrees
         max_cells = len(categories) * side * side
-        self._touched = (
+        self._touched = (  # buffers of `register`
             np.empty(max_cells, np.int64),  # flat indices of the cells that a view writes
             np.empty(max_cells, np.float32),  # values in the view
             np.empty(max_cells, np.float32),  # values in the map
@@ -82,7 +81,7 @@ class Mapper:
 
     @property
     def probabilities(self) -> Float32[np.ndarray, "c h w"]:
-        """Array of the map (not a copy); 0 in cells that no view has written."""
+        """Probabilities of the map, not copied; 0 in cells that no view has written."""
         return self._probabilities
 
     @property
@@ -102,12 +101,12 @@ class Mapper:
 
         Args:
             values: probabilities, 0 to 1.
-            mask: cells that the view has evidence of; other cells do not change.
+            mask: cells that the view has evidence for; other cells do not change.
             pose: pose of the robot when the view was taken.
-            imagined: cells that the view has not observed; None if it observed all of `mask`.
+            imagined: cells that the view imagined without observing them; None if it observed all of `mask`.
 
         Raises:
-            UserError: if a shape or type is wrong, values are no probabilities, or the pose is not finite. The map does
+            UserError: if a shape or type is wrong, values are not in [0, 1], or the pose is not finite. The map does
                 not change.
         """
         imagined = np.zeros_like(mask) if imagined is None else imagined
@@ -116,9 +115,9 @@ class Mapper:
         window = _window(to_grid, self.ego, self.grid)
         layers = self._probabilities.reshape(-1), self._count.reshape(-1)
         to_ego = cv2.invertAffineTransform(to_grid)
-        n = _pull(values, mask, imagined, to_ego, window, self.grid.shape, *layers, *self._touched)
-        touched, new, old, count, unseen = (array[:n] for array in self._touched)
-        _push(*layers, touched, new, self.rule(old, new, np.abs(count)), unseen)
+        n = _gather(values, mask, imagined, to_ego, window, self.grid.shape, *layers, *self._touched)
+        touched, new, old, count, only_imagined = (array[:n] for array in self._touched)
+        _scatter(*layers, touched, new, self.rule(old, new, np.abs(count)), only_imagined)
 
     def cover(self, pose: Pose) -> None:
         """Extend the map by whole chunks until it contains every cell that a view from `pose` may reach.
@@ -127,15 +126,15 @@ class Mapper:
             UserError: if the map would be too large, or the pose is not finite. The map does not change.
         """
         low, high = _reach(ego_to_grid(self.ego, self.grid, pose), self.ego)
-        top, left = (max(0, -int(np.floor(side / CHUNK)) * CHUNK) for side in low)
+        top, left = (max(0, -int(np.floor(index / CHUNK)) * CHUNK) for index in low)
         beyond = high - np.array(self.grid.shape) + 1
-        bottom, right = (max(0, int(np.ceil(side / CHUNK)) * CHUNK) for side in beyond)
+        bottom, right = (max(0, int(np.ceil(cells / CHUNK)) * CHUNK) for cells in beyond)
         if not (top or bottom or left or right):
             return
         rows, columns = self.grid.rows + top + bottom, self.grid.columns + left + right
         x, y = self.grid.origin
-        size = self.grid.resolution
-        grid = Grid(size, rows, columns, (x - left * size, y - bottom * size))
+        resolution = self.grid.resolution
+        grid = Grid(resolution, rows, columns, (x - left * resolution, y - bottom * resolution))
         _check_size(len(self.categories), grid)
         probabilities, count = _blank(len(self.categories), grid)
         inside = np.s_[:, top : rows - bottom, left : columns - right]
@@ -143,7 +142,7 @@ class Mapper:
         self.grid, self._probabilities, self._count = grid, probabilities, count
 
     def outside(self, mask: Bool[np.ndarray, "c v v"], pose: Pose) -> int:
-        """Count the cells of a view's evidence, once for all layers, that are outside the map."""
+        """Count the cells with evidence that are outside the map; evidence in several layers of a cell counts once."""
         to_grid = ego_to_grid(self.ego, self.grid, pose)
         low, high = _reach(to_grid, self.ego)
         if (low >= 0).all() and (high < self.grid.shape).all():
@@ -163,6 +162,7 @@ class Mapper:
         self._count[layer] = known
 
     def _check(self, values: np.ndarray, mask: np.ndarray, imagined: np.ndarray) -> None:
+        """Check shapes and types of the arrays and the range of the values."""
         shape = len(self.categories), self.ego.cells, self.ego.cells
         arrays = (("values", values, np.float32), ("mask", mask, np.bool_), ("imagined", imagined, np.bool_))
         for name, array, dtype in arrays:
@@ -172,7 +172,7 @@ class Mapper:
                     f"{name}: got {array.dtype} of shape {array.shape}, expected {expected} of shape {shape}"
                 )
         low, high = values.min(), values.max()
-        if not (low >= 0 and high <= 1):  # NaN compares false, so it is refused too
+        if not (low >= 0 and high <= 1):  # also refuses NaN, which compares false
             raise UserError(
                 f"values: got {low} to {high}, expected probabilities in [0, 1]; apply the sigmoid first"
             )
@@ -207,14 +207,14 @@ def _check_size(layers: int, grid: Grid) -> None:
 def _reach(
     to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid
 ) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
-    """Return the lowest and highest global (row, column) of the cells whose centres a view may cover."""
+    """Return the lowest and highest (row, column) in the global map of the cells whose centres a view may cover."""
     low, high = -0.5, ego.cells - 0.5
     corners = to_grid @ np.array([[low, low, high, high], [low, high, low, high], [1.0, 1.0, 1.0, 1.0]])
     return np.ceil(corners.min(axis=1)), np.floor(corners.max(axis=1))
 
 
 def _window(to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid, grid: Grid) -> tuple[int, int, int, int]:
-    """Return first and last row, first and last column of the map's cells whose centres a view may cover."""
+    """Return the first and last row and the first and last column of `_reach`, clipped to the map."""
     low, high = _reach(to_grid, ego)
     first = np.clip(low, 0, grid.shape)
     last = np.clip(high, -1, np.array(grid.shape) - 1)
@@ -222,7 +222,7 @@ def _window(to_grid: Float64[np.ndarray, "2 3"], ego: EgoGrid, grid: Grid) -> tu
 
 
 @compiled
-def _pull(
+def _gather(
     values: Float32[np.ndarray, "c v v"],
     mask: Bool[np.ndarray, "c v v"],
     imagined: Bool[np.ndarray, "c v v"],
@@ -235,12 +235,12 @@ def _pull(
     new: Float32[np.ndarray, " n"],
     old: Float32[np.ndarray, " n"],
     count: Int32[np.ndarray, " n"],
-    unseen: Bool[np.ndarray, " n"],
+    only_imagined: Bool[np.ndarray, " n"],
 ) -> int:
-    """List the cells that a view writes (index, value in the view and in the map, count, unseen); return their number.
+    """Gather the cells that a view writes into the last five arguments, and return their number.
 
-    The mask is that of the nearest egocentric cell, the value is interpolated from the four nearest (edge values are
-    repeated beyond the border).
+    Masks are sampled by nearest neighbour, values by bilinear interpolation, with edge values repeated beyond the
+    border.
     """
     layers, last = values.shape[0], values.shape[1] - 1
     n = 0
@@ -264,27 +264,27 @@ def _pull(
                     cell = (k * shape[0] + row) * shape[1] + column
                     touched[n], old[n], count[n] = cell, probabilities[cell], counts[cell]
                     new[n] = upper + down_weight * (lower - upper)
-                    unseen[n] = imagined[k, nearest_r, nearest_c]
+                    only_imagined[n] = imagined[k, nearest_r, nearest_c]
                     n += 1
     return n
 
 
 @compiled
-def _push(
+def _scatter(
     probabilities: Float32[np.ndarray, " m"],
     counts: Int32[np.ndarray, " m"],
     touched: Int64[np.ndarray, " n"],
     new: Float32[np.ndarray, " n"],
     merged: Float32[np.ndarray, " n"],
-    unseen: Bool[np.ndarray, " n"],
+    only_imagined: Bool[np.ndarray, " n"],
 ) -> None:
     """Write merged values (new values where the cell is first written or first observed) and update the counts."""
     for n in range(touched.size):
-        cell = np.uint64(touched[n])  # unsigned: numba need not handle negative indices
+        cell = np.uint64(touched[n])  # unsigned, so that numba does not handle negative indices
         count = counts[cell]
-        first_sighting = not unseen[n] and count <= 0
-        probabilities[cell] = new[n] if first_sighting or count == 0 else merged[n]
-        if first_sighting:
+        first_observation = not only_imagined[n] and count <= 0
+        probabilities[cell] = new[n] if first_observation or count == 0 else merged[n]
+        if first_observation:
             counts[cell] = 1
         else:
             counts[cell] = count + 1 if count > 0 else count - 1

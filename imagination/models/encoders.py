@@ -91,9 +91,8 @@ def check_name(name: str) -> None:
     Raises:
         UserError: if timm has none; the message lists the closest names.
     """
-    names = (
-        timm.list_models() + timm.list_pretrained()
-    )  # list_pretrained returns names of the form model.weights
+    # list_pretrained returns names of the form model.weights
+    names = timm.list_models() + timm.list_pretrained()
     if name not in names:
         matches = difflib.get_close_matches(name, names, n=5, cutoff=0.4)
         raise UserError(

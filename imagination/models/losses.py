@@ -16,7 +16,7 @@ class Result(NamedTuple):
     """Result of a loss.
 
     Attributes:
-        loss: loss whose gradients, averaged over ranks, are those of the whole batch.
+        loss: loss of the batch; its gradients, averaged over ranks, are those of the whole batch.
         parts: components of the loss and other values to log, by name.
     """
 
@@ -29,7 +29,8 @@ class Loss(Protocol):
     """Loss between imagined maps and labels, summed over categories.
 
     Attributes:
-        in_parts: whether the loss of a batch is the sum of the losses of its parts, given the counts of the batch.
+        in_parts: whether the loss can be computed on micro-batches: given the counts of the whole batch, the losses of
+            its parts add up to the loss of the batch.
     """
 
     in_parts: ClassVar[bool]
@@ -76,16 +77,17 @@ class WeightedBCE:
 
 @dataclass(frozen=True)
 class BCEDice:
-    """Binary cross-entropy, averaged over all cells, plus the dice loss of the whole batch; not the paper's loss.
+    """Binary cross-entropy averaged over all cells, plus the dice loss of the whole batch; not in the paper.
 
     With p = σ(logits) and y = V_label, separately for each category, and sums over all cells of all views:
 
         dice = 1 - 2 (Σ p y + 1) / (Σ p + Σ y + 2)
 
     (Milletari et al. 2016, V-Net, without the squares in the denominator.) The sums run over the whole batch, because
-    a single view often has no label. The ones give a batch without any label a gradient.
+    a single view often has no label cell. The constants +1 and +2 give a batch without label cells a gradient.
 
-    The gradient of one view depends on the predictions of all other views, so the loss cannot be computed in parts.
+    The gradient of one view depends on the predictions of all other views, so the loss cannot be computed on
+    micro-batches.
     """
 
     in_parts = False
@@ -97,23 +99,25 @@ class BCEDice:
         neighbourhood: UInt8[Tensor, "b c v v"],
         counts: Int64[Tensor, "3 c"] | None = None,
     ) -> Result:
-        assert counts is None, "dice cannot be computed in parts"
+        assert counts is None, "the dice loss cannot be computed on micro-batches"
         target = (label > 0).float()
         views = sum_over_ranks(torch.tensor(float(len(label)), device=label.device))
         total = binary_cross_entropy_with_logits(logits.float(), target, reduction="sum")
         bce = total * world_size() / (views * label.shape[-2] * label.shape[-1])
-        predicted = logits.float().sigmoid()
+        probabilities = logits.float().sigmoid()
         intersection, total_area = (
-            with_other_ranks(cells.sum(dim=(0, 2, 3))) for cells in (predicted * target, predicted + target)
+            with_other_ranks(cells.sum(dim=(0, 2, 3)))
+            for cells in (probabilities * target, probabilities + target)
         )
         dice = (1 - 2 * (intersection + 1) / (total_area + 2)).sum()
-        # each rank has the dice of the whole batch but gradients of only its views, which the mean over ranks combines
+        # dice has the value of the whole batch but the gradients of this rank's views only: scaled by world_size, their
+        # mean over ranks is the gradient of the whole batch
         loss = bce + dice + (world_size() - 1) * (dice - dice.detach())
         return Result(loss, {"bce": bce.detach(), "dice": dice.detach()})
 
 
 class Weights(NamedTuple):
-    """Weights of cells for each category.
+    """Weights of the cells, by category.
 
     Attributes:
         alpha: w_α, weight of label cells.
@@ -147,7 +151,7 @@ def imagination_loss(
 
     - N and both counts are taken over the whole batch ("a large batch size is more beneficial to obtain a stable
       weight matrix") and over all ranks in distributed training: N = B V^2 for B views on all ranks.
-    - The paper's "number of occupied cells" in w_γ is the number of cells that W_γ weighs.
+    - The paper's "number of occupied cells" in w_γ is the number of cells to which W_γ applies.
     - The sum runs over the V^2 cells of a view, and the mean over the batch's views.
     - The losses of categories that share a network are summed, as those of separate units would be.
 
@@ -164,21 +168,21 @@ def imagination_loss(
     """
     positive = label > 0
     around = (neighbourhood > 0) & ~positive
-    local = batch_counts(label, neighbourhood) if counts is None else counts.clone()
-    views, positives, arounds = sum_over_ranks(local).unbind()
-    cells = views * label.shape[-2] * label.shape[-1]
-    w_alpha = (cells / (positives + 1)).clamp(max=alpha_max)
-    w_gamma = (cells / (arounds + 1)).clamp(max=gamma_max)
+    rank_counts = batch_counts(label, neighbourhood) if counts is None else counts.clone()
+    num_views, num_positive, num_around = sum_over_ranks(rank_counts).unbind()
+    num_cells = num_views * label.shape[-2] * label.shape[-1]
+    w_alpha = (num_cells / (num_positive + 1)).clamp(max=alpha_max)
+    w_gamma = (num_cells / (num_around + 1)).clamp(max=gamma_max)
     weight = (w_alpha - 1).view(-1, 1, 1) * positive + (w_gamma - 1).view(-1, 1, 1) * around + 1
     total = binary_cross_entropy_with_logits(logits.float(), positive.float(), weight, reduction="sum")
     # each rank divides by the mean number of views per rank, so that the mean over ranks is the mean over views
-    return total * world_size() / views[0], Weights(w_alpha, w_gamma)
+    return total * world_size() / num_views[0], Weights(w_alpha, w_gamma)
 
 
 def batch_counts(
     label: UInt8[Tensor, "b c v v"], neighbourhood: UInt8[Tensor, "b c v v"]
 ) -> Int64[Tensor, "3 c"]:
-    """Return the counts that determine the weights: views, label cells and cells around them, of each category."""
+    """Return the counts that determine the weights, by category: views, label cells, other neighbourhood cells."""
     positive = label > 0
     views = label.new_full((label.shape[1],), len(label), dtype=torch.long)
     return torch.stack([views, count(positive), count((neighbourhood > 0) & ~positive)])

@@ -11,6 +11,7 @@ from torch.nn.functional import avg_pool2d, max_pool2d
 
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import kernel_cells
+from imagination.models.tta_hflip import average_with_hflip
 from imagination.utils.errors import check_range
 
 PRIOR = 0.05
@@ -79,11 +80,9 @@ class Unit(nn.Module, ABC):
         seen: UInt8[Tensor, "b 1 v v"],
     ) -> Float[Tensor, "b c v v"]:
         """Return the raw logits, with test-time augmentation but without postprocessing."""
-        logits = self.logits(rgb, depth, occupied, seen)
         if self.tta_hflip:
-            mirrored = self.logits(*(view.flip(-1) for view in (rgb, depth, occupied, seen)))
-            logits = (logits + mirrored.flip(-1)) / 2
-        return logits
+            return average_with_hflip(self.logits, rgb, depth, occupied, seen)
+        return self.logits(rgb, depth, occupied, seen)
 
     def postprocess(self, raw: Float[Tensor, "b c v v"]) -> Float[Tensor, "b c v v"]:
         """Return the postprocessed logits, averaged and dilated over the window."""

@@ -1,6 +1,6 @@
-"""Reader of truncated bags, as of a full disk or an interrupted transfer, from the beginning up to the damage.
+"""Reader of truncated bags, e.g. after a full disk or an interrupted transfer, from the beginning up to the damage.
 
-rosbags needs the index at the end of a bag; here only its message definitions are used. Formats:
+The readers of rosbags need the index at the end of a bag, so only its message definitions are used here. Formats:
 https://mcap.dev/spec, https://wiki.ros.org/Bags/Format/2.0 and, for .db3, https://sqlite.org/fileformat.html.
 """
 
@@ -26,18 +26,18 @@ else:
     from backports import zstd
 
 MAX_RECORD = 2**30
-"""Largest record and largest decompressed chunk, bytes; larger sizes are damage."""
+"""Maximum size of a record and of a decompressed chunk, bytes; a larger size is treated as damage."""
 
 DECOMPRESSORS: dict[str, Callable[[], Any]] = {
     "bz2": bz2.BZ2Decompressor,
     "lz4": lz4.frame.LZ4FrameDecompressor,
     "zstd": zstd.ZstdDecompressor,
 }
-"""Decompressors by the compression name in a chunk's header."""
+"""Decompressor classes by the name of the compression in a chunk's header."""
 
 
 class Connection(NamedTuple):
-    """Topic and message type; the message `definition` only in ROS 1 bags."""
+    """Topic with its message type and, in ROS 1 bags, the message definition."""
 
     topic: str
     msgtype: str
@@ -49,13 +49,13 @@ Messages = Iterator[tuple[Connection, Stamp, bytes]]
 
 
 class CutBag:
-    """Reader of a truncated bag with the part of the rosbags reader's interface that `BagRecording` uses.
+    """Reader of a truncated bag, with those methods of a rosbags reader that `BagRecording` calls.
 
     Args:
         path: path of a file, or of a folder whose files are read in order.
 
     Attributes:
-        connections: topics of the readable messages.
+        connections: topics with at least one readable message.
         start_time: time of the first readable message.
 
     Raises:
@@ -63,7 +63,7 @@ class CutBag:
     """
 
     def __init__(self, path: Path) -> None:
-        files = sorted(path.glob("*"), key=_in_order) if path.is_dir() else [path]
+        files = sorted(path.glob("*"), key=_natural_key) if path.is_dir() else [path]
         self.parts = [(FORMATS[file.suffix], file) for file in files if file.suffix in FORMATS]
         self.ros1 = path.suffix == ".bag"
         self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
@@ -71,7 +71,7 @@ class CutBag:
         try:
             for connection, time, _ in self._all_messages():
                 connections.setdefault(connection, time)
-        except Exception:  # raised again when the messages are read
+        except Exception:  # `messages` raises it again
             if not connections:
                 raise
         self.connections, self.start_time = list(connections), min(connections.values())
@@ -88,7 +88,7 @@ class CutBag:
         return (message for message in self._all_messages() if message[0] in connections)
 
     def deserialize(self, data: bytes, kind: str) -> Any:
-        """Decode a message."""
+        """Decode a message of the type `kind`."""
         return (
             self.store.deserialize_ros1(data, kind) if self.ros1 else self.store.deserialize_cdr(data, kind)
         )
@@ -98,46 +98,51 @@ class CutBag:
             yield from read(file)
 
 
-def _in_order(file: Path) -> list[tuple[bool, int, str]]:
-    """Return the sort key of a split bag's files, whose names end in numbers: _2 before _10."""
+def _natural_key(file: Path) -> list[tuple[bool, int, str]]:
+    """Return a sort key that compares numbers in file names by value, so that file _2 of a split bag precedes _10."""
     parts = re.split(r"([0-9]+)", file.name)
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]
 
 
 def read_mcap(path: Path) -> Messages:
     """Iterate over the messages of an MCAP file."""
-    names: dict[int, str] = {}
+    schema_names: dict[int, str] = {}
     channels: dict[int, Connection] = {}
     with open(path, "rb") as file:
         file.seek(8)  # skip the magic bytes
-        for kind, body in mcap_records(file):
-            if kind == 3:  # schema: number, name
-                number, size = struct.unpack_from("<HI", body)
-                names[number] = body[6 : 6 + size].decode()
-            elif kind == 4:  # channel: number, schema's number, topic
-                number, schema, size = struct.unpack_from("<HHI", body)
-                channels[number] = Connection(body[8 : 8 + size].decode(), names[schema])
-            elif kind == 5:  # message: channel's number, count, two times
-                number, _, time, _ = struct.unpack_from("<HIQQ", body)
-                yield channels[number], time, body[22:]
-            elif kind == 15:  # the end of the data
+        for opcode, body in mcap_records(file):
+            if opcode == 3:  # Schema: id, name
+                schema_id, size = struct.unpack_from("<HI", body)
+                schema_names[schema_id] = body[6 : 6 + size].decode()
+            elif opcode == 4:  # Channel: id, schema id, topic
+                channel_id, schema_id, size = struct.unpack_from("<HHI", body)
+                channels[channel_id] = Connection(body[8 : 8 + size].decode(), schema_names[schema_id])
+            elif opcode == 5:  # Message: channel id, sequence number, log time, publish time
+                channel_id, _, time, _ = struct.unpack_from("<HIQQ", body)
+                yield channels[channel_id], time, body[22:]
+            elif opcode == 15:  # Data End
                 return
         raise cut_off(path, file)
 
 
 def mcap_records(file: File, inside: bool = False) -> Iterator[tuple[int, bytes]]:
-    """Iterate over (kind, content) of the complete records, including those in chunks (which cannot be nested)."""
-    while len(head := file.read(9)) == 9:
-        kind, length = struct.unpack("<BQ", head)
+    """Iterate over (opcode, content) of the complete records, including those in chunks.
+
+    Args:
+        file: MCAP file after its magic bytes, or the content of a chunk.
+        inside: whether `file` is the content of a chunk; chunks are not nested.
+    """
+    while len(header := file.read(9)) == 9:
+        opcode, length = struct.unpack("<BQ", header)
         body = file.read(min(length, MAX_RECORD))
-        if kind == 6 and not inside:  # chunk: two times, size, checksum, compression, size
-            stated, _, size = struct.unpack_from("<QII", body, 16)
-            content = decompress(body[32 : 32 + size].decode(), body[40 + size :], stated)
+        if opcode == 6 and not inside:  # Chunk: start and end time, uncompressed size, CRC, compression, size
+            uncompressed_size, _, size = struct.unpack_from("<QII", body, 16)
+            content = decompress(body[32 : 32 + size].decode(), body[40 + size :], uncompressed_size)
             yield from mcap_records(BytesIO(content), True)
         elif len(body) == length:
-            yield kind, body
+            yield opcode, body
         if len(body) < length:
-            file.seek(-len(body) - len(head), 1)
+            file.seek(-len(body) - len(header), 1)
             return
 
 
@@ -147,49 +152,54 @@ def read_ros1(path: Path) -> Messages:
     with open(path, "rb") as file:
         file.readline()  # the version
         for inside, header, data in ros1_records(file):
-            kind = header[b"op"][0]
-            if kind == 7 and inside:  # a connection
+            op = header[b"op"][0]
+            if op == 7 and inside:  # connection
                 values = fields(data)
                 connections[header[b"conn"]] = Connection(
                     header[b"topic"].decode(),
                     values[b"type"].decode().replace("/", "/msg/"),
                     values[b"message_definition"].decode(),
                 )
-            elif kind == 7:  # the index at the end
+            elif op == 7:  # connections outside chunks belong to the index at the end
                 return
-            elif kind == 2:  # a message
+            elif op == 2:  # message
                 seconds, nanoseconds = struct.unpack("<II", header[b"time"])
                 yield connections[header[b"conn"]], seconds * 10**9 + nanoseconds, data
         raise cut_off(path, file)
 
 
 def ros1_records(file: File, inside: bool = False) -> Iterator[tuple[bool, dict[bytes, bytes], bytes]]:
-    """Iterate over (inside a chunk, header, data) of the complete records."""
-    while len(start := file.read(4)) == 4:
-        at = file.tell() - 4
-        header = file.read(min(int.from_bytes(start, "little"), MAX_RECORD))
+    """Iterate over (`inside`, header, data) of the complete records, including those in chunks.
+
+    Args:
+        file: bag after its version line, or the content of a chunk.
+        inside: whether `file` is the content of a chunk; chunks are not nested.
+    """
+    while len(header_size := file.read(4)) == 4:
+        start = file.tell() - 4
+        raw_header = file.read(min(int.from_bytes(header_size, "little"), MAX_RECORD))
         length = int.from_bytes(file.read(4), "little")
         data = file.read(min(length, MAX_RECORD))
-        values = fields(header) if length else {}
-        if values.get(b"op") == b"\5" and not inside:  # a chunk
-            stated = int.from_bytes(values[b"size"], "little")
-            content = decompress(values[b"compression"].decode(), data, stated)
+        header = fields(raw_header) if length else {}
+        if header.get(b"op") == b"\5" and not inside:  # chunk
+            uncompressed_size = int.from_bytes(header[b"size"], "little")
+            content = decompress(header[b"compression"].decode(), data, uncompressed_size)
             yield from ros1_records(BytesIO(content), True)
         elif len(data) == length:
-            yield inside, values, data
+            yield inside, header, data
         if len(data) < length:
-            file.seek(at)
+            file.seek(start)
             return
 
 
 def fields(data: bytes) -> dict[bytes, bytes]:
-    """Parse the names and values of a ROS 1 header."""
-    values, at = {}, 0
-    while at < len(data):
-        (size,) = struct.unpack_from("<I", data, at)
-        name, _, value = data[at + 4 : at + 4 + size].partition(b"=")
+    """Parse the fields of a ROS 1 header: values by name."""
+    values, offset = {}, 0
+    while offset < len(data):
+        (size,) = struct.unpack_from("<I", data, offset)
+        name, _, value = data[offset + 4 : offset + 4 + size].partition(b"=")
         values[name] = value
-        at += 4 + size
+        offset += 4 + size
     return values
 
 
@@ -199,18 +209,18 @@ def read_sqlite(path: Path) -> Messages:
     try:
         database.execute("PRAGMA writable_schema = ON")  # otherwise SQLite refuses a file with missing pages
         topic_rows = database.execute("SELECT id, name, type FROM topics")
-        topics = {number: Connection(topic, kind) for number, topic, kind in topic_rows}
+        topics = {topic_id: Connection(name, msgtype) for topic_id, name, msgtype in topic_rows}
         rows = database.execute("SELECT topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY id")
-        # delayed by one row: missing bytes of the last row before the damage may be read as zeros
+        # a row is yielded after the next one was read: SQLite may read missing bytes of the last one as zeros
         previous: list[tuple[Connection, Stamp, bytes]] = []
-        for number, time, data in rows:
+        for topic_id, time, data in rows:
             yield from previous
-            previous = [(topics[number], time, data)]
+            previous = [(topics[topic_id], time, data)]
         yield from previous
     except (sqlite3.DatabaseError, KeyError) as error:
         size = path.stat().st_size
         raise BrokenRecordingError(
-            f"{path.name} is cut off: its {size} bytes are incomplete ({error})"
+            f"{path.name} is truncated: its {size} bytes are not a complete file ({error})"
         ) from error
     finally:
         database.close()
@@ -230,10 +240,10 @@ def decompress(compression: str, data: bytes, stated: int) -> bytes:
     Args:
         compression: none, bz2, lz4 or zstd.
         data: compressed bytes.
-        stated: decompressed size in the chunk's header, bytes.
+        stated: decompressed size according to the chunk's header, bytes.
 
     Raises:
-        BrokenRecordingError: if the decompressed size is larger than stated.
+        BrokenRecordingError: if the decompressed size is larger than `stated` or `MAX_RECORD`.
     """
     if compression in ("", "none"):
         return data
@@ -241,13 +251,13 @@ def decompress(compression: str, data: bytes, stated: int) -> bytes:
     content: bytes = DECOMPRESSORS[compression]().decompress(data, max_length=max_size + 1)
     if len(content) > max_size:
         raise BrokenRecordingError(
-            f"{len(data)} bytes of a chunk decompress to more than the stated {stated} bytes (at most {MAX_RECORD})"
+            f"chunk: got more than {max_size} decompressed bytes, expected {stated} as in its header (at most {MAX_RECORD})"
         )
     return content
 
 
 def cut_off(path: Path, file: BufferedReader) -> BrokenRecordingError:
-    """Return the error of a truncated file."""
+    """Return the exception for a truncated file, read up to the position of `file`."""
     return BrokenRecordingError(
-        f"{path.name} is cut off: of its {path.stat().st_size} bytes, the records before byte {file.tell()} are whole"
+        f"{path.name} is truncated: of its {path.stat().st_size} bytes, those before byte {file.tell()} are complete records"
     )

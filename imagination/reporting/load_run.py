@@ -31,10 +31,10 @@ MAX_RESAMPLES = 100_000
 """Maximum number of bootstrap resamples; more do not change the intervals."""
 
 MAX_NAMED = 60
-"""Maximum number of missing scenes in a message; a study of the paper's size has as many scenes."""
+"""Maximum number of missing scenes that a message names: as many as a study at the paper's scale evaluates."""
 
 MAX_PIXELS = 10**12
-"""Maximum of a count, so that sums of counts stay exact."""
+"""Maximum pixel count of a trial, so that sums of counts stay exact."""
 
 TrialCounts = dict[tuple[str, int], Int64[np.ndarray, "3"]]
 """Correct, false-positive and ground-truth pixels by scene and viewpoint set."""
@@ -50,6 +50,10 @@ class Results:
 
     Args:
         folder: folder of the run.
+
+    Attributes:
+        problems: messages on missing and damaged parts.
+        config: config of the run.
 
     Raises:
         UserError: if it is not the folder of a run, or its config cannot be read.
@@ -97,15 +101,15 @@ class Results:
 
     @cached_property
     def counts(self) -> dict[Key, TrialCounts]:
-        """Counts of every trial by row of the table; missing trials are reported in `problems`."""
+        """Counts of every trial by approach, category and cell width; missing trials are reported in `problems`."""
         counts = self._from_table()
         if not counts and self.maps:
             self.problems.append(
-                f"tables/trials.csv is missing: counted again from the saved maps of {self._evaluated_scenes()}"
+                f"tables/trials.csv is missing: recounted from the saved maps of {self._evaluated_scenes()}"
             )
             counts = recount(self.maps)
         elif not counts:
-            self.problems.append("tables/trials.csv is missing: the evaluation has not ended, or failed")
+            self.problems.append("tables/trials.csv is missing: the evaluation has not finished or has failed")
         self.problems += missing_trials(counts, self.config)
         return counts
 
@@ -130,13 +134,13 @@ class Results:
 
     @cached_property
     def by_cells(self) -> dict[Key, tuple[float, float]]:
-        """Pooled IoU in seen and in unseen cells by row of the table, from mapping.csv."""
+        """Pooled IoU in seen and in unseen cells by approach, category and cell width, from mapping.csv."""
         path = self.folder / "tables" / "mapping.csv"
         return (path.is_file() and self._read(read_by_cells, path)) or {}
 
     @cached_property
     def validated(self) -> dict[tuple[str, str], float]:
-        """Pooled IoU on validation scenes by approach and category, for which the threshold was selected."""
+        """Pooled IoU on validation scenes by approach and category, at the selected threshold."""
         path = self.folder / "tables" / "mapping.csv"
         return (path.is_file() and self._read(read_validated, path)) or {}
 
@@ -154,12 +158,12 @@ class Results:
     @cached_property
     def trained(self) -> list["Results"]:
         """Runs that trained the networks: this run, or the existing runs of an evaluation's checkpoints."""
-        given = self.config.get("ckpt")
-        if given is None:
+        checkpoints = self.config.get("ckpt")
+        if checkpoints is None:
             return [self]
         runs = []
-        for path in [given] if isinstance(given, str) else given:
-            with suppress(UserError, OSError):  # moved, deleted or damaged
+        for path in [checkpoints] if isinstance(checkpoints, str) else checkpoints:
+            with suppress(UserError, OSError):  # the run was moved, deleted or damaged
                 runs.append(Results(Path(str(path)).parent.parent))
         return runs
 
@@ -185,7 +189,7 @@ class Results:
         return sorted({key.cell_width for key in self.counts}, reverse=True)
 
     def _evaluated_scenes(self) -> str:
-        """Return the number of scenes with saved maps and the names of the missing scenes, for a message."""
+        """Describe the scenes with saved maps for a message: their number and the names of the missing scenes."""
         evaluated = {saved.trial.scene for saved in self.maps}
         expected = [row["scene"] for row in self.table(SCENES) if "scene" in row]
         if not (missing := [scene for scene in expected if scene not in evaluated]):
@@ -229,7 +233,7 @@ def read_view_counts(path: Path) -> dict[tuple[str, str, str], ConfusionCounts]:
     for row in read_csv(path):
         counts.setdefault((row["approach"], row["cells"], row["category"]), []).append(_counts(row, "cells"))
     if any(len(rows) != len(THRESHOLDS) for rows in counts.values()):
-        raise ValueError(f"expected {len(THRESHOLDS)} thresholds each")
+        raise ValueError(f"expected {len(THRESHOLDS)} thresholds for each approach, category and subset of cells")
     return {key: np.array(rows, np.int64) for key, rows in counts.items()}
 
 
@@ -260,7 +264,7 @@ def _width(row: Row) -> float:
 
 
 def _counts(row: Row, unit: str) -> list[int]:
-    """Return correct, false-positive and ground-truth pixels or cells of a row."""
+    """Return the correct, false-positive and ground-truth pixels (or cells) of a row."""
     columns = f"correct_{unit}", "false_positives", f"gt_{unit}"
     correct, false, gt = counts = [int(row[column]) for column in columns]
     if not (0 <= correct <= gt <= MAX_PIXELS and 0 <= false <= MAX_PIXELS):
@@ -269,21 +273,21 @@ def _counts(row: Row, unit: str) -> list[int]:
 
 
 def recount(maps: Sequence[SavedMaps]) -> dict[Key, TrialCounts]:
-    """Count every trial from its saved maps."""
+    """Return the counts of every trial, computed from its saved maps."""
     counts: dict[Key, TrialCounts] = {}
     for saved in maps:
         predicted = saved.predicted
-        for place, approach in enumerate(saved.approaches):
+        for index, approach in enumerate(saved.approaches):
             for layer, category in enumerate(saved.categories):
                 if saved.present[layer]:
                     key = Key(approach, category, saved.trial.cell_width)
-                    pixels = count(predicted[place, layer], saved.truth[layer])
+                    pixels = count(predicted[index, layer], saved.truth[layer])
                     counts.setdefault(key, {})[saved.trial.scene, saved.trial.number] = pixels
     return counts
 
 
 def by_scene(trials: TrialCounts) -> Int64[np.ndarray, "scenes 1 3"]:
-    """Sum counts over the viewpoint sets of each scene, for pooled values and the bootstrap."""
+    """Sum counts over the viewpoint sets of each scene, for the pooled IoU and the bootstrap."""
     scenes: dict[str, np.ndarray] = {}
     for (scene, _), pixels in trials.items():
         scenes[scene] = scenes.get(scene, np.zeros(3, np.int64)) + pixels
@@ -291,7 +295,7 @@ def by_scene(trials: TrialCounts) -> Int64[np.ndarray, "scenes 1 3"]:
 
 
 def missing_trials(counts: Mapping[Key, TrialCounts], config: Mapping[str, Any]) -> list[str]:
-    """Return a message on missing trials of the config for each approach, category and cell width that lacks some."""
+    """Return one message for each approach, category and cell width of the config that has missing trials."""
     if not counts:
         return []  # reported already
     sets = range(int(at(config, "evaluation.viewpoint_sets") or 0))
@@ -316,7 +320,7 @@ def missing_trials(counts: Mapping[Key, TrialCounts], config: Mapping[str, Any])
 
 
 def missing_maps(counts: Mapping[Key, TrialCounts], maps: Sequence[SavedMaps]) -> list[str]:
-    """Return a message on the trials that were counted but have no saved maps; empty if all have."""
+    """Return a message on counted trials without saved maps, or an empty list if there are none."""
     saved = {each.trial for each in maps}
     counted = dict.fromkeys(
         Trial(scene, key.cell_width, number) for key, trials in counts.items() for scene, number in trials
@@ -333,10 +337,10 @@ def read_provenance(path: Path) -> dict[str, Any]:
     """Read a provenance.json.
 
     Raises:
-        ValueError: if it is not an object, or its seconds are not a valid number.
+        ValueError: if it is not a JSON object, or its seconds are not a valid number.
     """
     values = json.loads(path.read_text())
     if not isinstance(values, dict):
-        raise ValueError(f"got {type(values).__name__}, expected keys and values")
+        raise ValueError(f"got {type(values).__name__}, expected a JSON object")
     check_number("seconds", values.get("seconds", 0.0), 0.0, 1e9)
     return values

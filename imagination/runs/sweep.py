@@ -1,4 +1,4 @@
-"""Sweeps: independent jobs, where a failed job does not stop the others, and a summary of the failures at the end.
+"""Sweeps of independent jobs: a failed job does not stop the others; a summary at the end lists the failed jobs.
 
 `sweep_dir=<folder of an earlier sweep>` runs the jobs of that sweep that are missing, failed or stopped; jobs with a
 checkpoint resume from it. Several processes may run the same sweep at once and divide the jobs among them.
@@ -37,13 +37,13 @@ class Sweep(Callback):
     """Hydra callback that registers the jobs of a sweep before it starts and summarizes them at the end."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Register all jobs before the first one starts; a hyperparameter search registers them one by one."""
+        """Register all jobs before the first one starts; jobs of a hyperparameter search are registered when they start."""
         if config.hydra.sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
             with user_errors_reported():
                 register_jobs(config.hydra, str(kwargs["config_name"]))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Print the failed jobs and the command that continues the sweep; exit with code 1 if a job failed."""
+        """Print the failed jobs and the command that runs the remaining ones; exit with code 1 if a job failed."""
         folder = Path(config.hydra.sweep.dir)
         jobs = sweep_jobs.read(folder)
         done = sum(job.state == "done" for job in jobs)
@@ -65,7 +65,7 @@ class Sweep(Callback):
 
 
 def _permanent_argument(text: str) -> str:
-    """Return an argument with symlinks resolved, because `latest` may point to another run later."""
+    """Resolve the symlinks in a `ckpt` argument, because `latest` may point to another run later."""
     path = Path(text.removeprefix("ckpt="))
     return f"ckpt={resolved_path(path)}" if text.startswith("ckpt=") and path.is_file() else text
 
@@ -74,24 +74,25 @@ def register_jobs(hydra: DictConfig, config_name: str) -> None:
     """Register all jobs of a sweep over lists of values.
 
     Args:
-        hydra: config node of Hydra.
+        hydra: `hydra` node of the config.
         config_name: name of the command.
 
     Raises:
-        UserError: if two jobs would train the same unit and differ only in its evaluation.
+        UserError: if two jobs would train the same unit and differ only in the evaluation.
     """
     arguments = [
         *(f"{key}={value}" for key, value in (hydra.sweeper.params or {}).items()),
         *hydra.overrides.task,
     ]
     parsed = OverridesParser.create(GlobalHydra.instance().config_loader()).parse_overrides(arguments)
-    trainings: dict[str, str] = {}
+    key_by_training: dict[str, str] = {}  # key of the first job with each training configuration
     jobs = []
-    for arguments in BasicSweeper.split_arguments(parsed, None)[0]:
-        config, overrides = compose(config_name, list(arguments)), job_overrides(arguments)
+    for job_arguments in BasicSweeper.split_arguments(parsed, None)[0]:
+        config, overrides = compose(config_name, list(job_arguments)), job_overrides(job_arguments)
         key = sweep_jobs.config_key(config)
-        first = trainings.setdefault(sweep_jobs.config_key(config, sweep_jobs.EVALUATION_ONLY), key)
-        if config_name == "train" and first != key:
+        training = sweep_jobs.config_key(config, sweep_jobs.EVALUATION_ONLY)
+        first_key = key_by_training.setdefault(training, key)
+        if config_name == "train" and first_key != key:
             raise UserError(
                 f"sweep: got {shlex.join(overrides)}, which differs from another job only in the evaluation; train "
                 "once, then sweep the evaluation with python -m imagination.evaluate -m ckpt=…"
@@ -131,7 +132,7 @@ def run_job(task: Callable[[DictConfig], float | None], config: DictConfig) -> f
     except (KeyboardInterrupt, SystemExit):
         sweep_jobs.update(sweep, key, state="stopped")
         print(
-            f"The sweep was stopped; continue with the same command line and sweep_dir={sweep}",
+            f"The sweep was stopped; to continue, add sweep_dir={sweep} to the same command line",
             file=sys.stderr,
         )
         raise

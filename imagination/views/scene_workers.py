@@ -17,15 +17,16 @@ from imagination.utils.errors import WorkerDiedError, check_range
 from imagination.views.observer import Observer
 
 WORKER_DIED = "workers: a worker process died, possibly out of memory; reduce scale.workers"
+"""Message of the `WorkerDiedError`."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_observer: Observer | None = None  # copy of the worker process
+_observer: Observer | None = None  # in a worker process: its copy of the observer
 
 
 class ScenePool:
-    """Pool of workers that calls `function(observer, scene, ...)` in the process of the scene.
+    """Pool of worker processes that call `function(observer, scene, ...)`, always in the same worker for a scene.
 
     The result of a function must depend on its arguments only, so that it does not depend on the number of workers.
 
@@ -59,13 +60,13 @@ class ScenePool:
         """Submit `function(observer, scene, *args, **kwargs)`; the function must be importable."""
         future: Future[T] = Future()
         if self._workers:
-            owner = self._worker_of.setdefault(scene, len(self._worker_of) % len(self._workers))
-            with _no_interrupt():  # the first task starts the process
+            index = self._worker_of.setdefault(scene, len(self._worker_of) % len(self._workers))
+            with _no_interrupt():  # the worker process starts with its first task
                 try:
-                    result = self._workers[owner].submit(_call, function, scene, args, kwargs)
+                    result = self._workers[index].submit(_call, function, scene, args, kwargs)
                 except BrokenProcessPool as error:
                     raise WorkerDiedError(WORKER_DIED) from error
-            _close_result_writer(self._workers[owner])
+            _close_result_writer(self._workers[index])
             result.add_done_callback(lambda done: _forward(done, future))
         else:
             future.set_result(function(self.observer, scene, *args, **kwargs))
@@ -98,7 +99,7 @@ class _Records(logging.Handler):
         self.records.append(record)
 
 
-_records = _Records()  # records of the worker process
+_records = _Records()  # in a worker process: log records of the current task
 
 
 def _forward(result: "Future[_Result]", future: "Future[Any]") -> None:
@@ -118,7 +119,7 @@ def _forward(result: "Future[_Result]", future: "Future[Any]") -> None:
 def _close_result_writer(worker: ProcessPoolExecutor) -> None:
     """Close the write end of the result queue in this process.
 
-    With it open, reading never returns if a worker is killed while it writes a result.
+    While it is open, reading a result blocks forever if the worker is killed while writing it.
     """
     queue: Any = worker._result_queue
     if not queue._writer.closed:
@@ -149,7 +150,7 @@ def _start(observer: Observer) -> None:
 
 
 def _end_with_parent() -> None:
-    """Exit when the main process ends: if it is killed, it cannot stop its workers."""
+    """Exit when the main process ends, because a killed main process cannot stop its workers."""
     parent = parent_process()
     assert parent is not None
     parent.join()
@@ -157,7 +158,7 @@ def _end_with_parent() -> None:
 
 
 def _call(function: Callable[..., Any], scene: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> _Result:
-    """Run a task in the worker process."""
+    """Run a task in the worker process and return its result with the log records."""
     assert _observer is not None
     _records.records = []
     try:

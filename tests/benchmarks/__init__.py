@@ -1,1 +1,1 @@
-"""How fast each part is, beside a limit of the same machine measured in the same run: `make bench`."""
+"""Benchmarks of each part, with limits of the machine measured in the same run: `make bench`."""

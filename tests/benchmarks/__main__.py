@@ -1,7 +1,7 @@
-"""`make bench`, or `python -m tests.benchmarks [section …]`: writes tests/benchmarks/results.md and results.json.
+"""Benchmarks: `make bench`, or `python -m tests.benchmarks [section …]`; writes results.md and results.json.
 
-Each section runs in a process of its own, so that its peak memory and its threads are its own. Its results join those
-that are there as soon as it ends; what cannot be measured on this machine is told in its place.
+Each section runs in a separate process, so that its peak memory and its threads are measured alone. Its results replace
+its earlier ones as soon as it ends; figures that this machine cannot measure are marked.
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ from typing import Any
 
 from tests.benchmarks.measure import Figure, peak_memory, unmeasured
 
-SECTIONS = tuple("startup rendering truth maps buffer training gpu distributed evaluation shards".split())
+SECTIONS = tuple(
+    "startup rendering ground_truth maps buffer training gpu distributed evaluation shards".split()
+)
 WITH_PROCESSES = {"startup", "rendering", "distributed", "shards"}
-"""Sections that measure processes which they start."""
+"""Sections that start processes and measure them."""
 
-TITLES = {"gpu": "GPU"}
+TITLES = {"gpu": "GPU", "ground_truth": "Ground truth"}
 LIBRARIES = ("torch", "lightning", "numpy", "numba", "embreex", "opencv-python-headless", "timm")
 FOLDER = Path(__file__).parent
 
@@ -35,47 +37,50 @@ HEAD = """# Benchmarks
 
 Made {made}. The sections took {minutes:.1f} minutes together.
 
-Medians, in turns with what they are compared to, unless a note says otherwise. *Of the limit* says how near a figure is
-to what this machine could do at best, measured in the same run: 100 % is there. *Times as fast* compares with another
-way to the same result: another setting, or a peer's way re-implemented in vectorised torch on the same thread
-(`tests/benchmarks/rivals.py`, equal outputs checked before timing).
+Medians, measured alternately with their references unless a note states otherwise. *Of the limit* relates a figure to
+the best that this machine can do, measured in the same run. *Times as fast* compares with another method for the same
+result: another setting, or the method of a public system re-implemented in vectorised torch on the same thread
+(`tests/benchmarks/rivals.py`; its outputs are compared before timing).
 """
 
 
 def main(sections: list[str]) -> bool:
-    """Run sections and write the results after each; whether all of them ended well."""
+    """Run sections, write the results after each, and return whether all succeeded."""
     command = " ".join(["python -m tests.benchmarks", *(sections if sections != list(SECTIONS) else [])])
-    machine = inside("--machine")
+    machine = run_in_process("--machine")
     assert machine is not None
-    well = True
+    success = True
     with tempfile.TemporaryDirectory() as folder:
         for section in sections:
             print(f"{section} …", file=sys.stderr, flush=True)
             start = perf_counter()
-            result = inside("--section", section, folder)
+            result = run_in_process("--section", section, folder)
             if result is None:
-                well = False
-                result = {"figures": [asdict(unmeasured(section, "it failed, the terminal says why"))]}
+                success = False
+                result = {"figures": [asdict(unmeasured(section, "the section failed; see the terminal"))]}
             result |= {"command": command, "minutes": (perf_counter() - start) / 60, **machine}
             write(FOLDER, section, result)
     print((FOLDER / "results.md").read_text())
-    return well
+    return success
 
 
-def inside(*words: str) -> dict[str, Any] | None:
-    """What a process of its own prints last, which keeps this one small; None if it fails."""
-    command = [sys.executable, "-m", "tests.benchmarks", *words]
+def run_in_process(*arguments: str) -> dict[str, Any] | None:
+    """Run this module in a new process, which keeps this one small; return its last line, or None if it fails."""
+    command = [sys.executable, "-m", "tests.benchmarks", *arguments]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
     return dict(json.loads(done.stdout.splitlines()[-1])) if done.returncode == 0 else None
 
 
 def write(folder: Path, section: str, result: dict[str, Any]) -> None:
-    """Put a section's result in the place of its earlier one, beside those of the others."""
+    """Replace the result of a section in results.json, and write results.md."""
     path = folder / "results.json"
     sections = json.loads(path.read_text())["sections"] if path.is_file() else {}
-    elsewhere = sections.get(section, result)["hardware"] != result["hardware"]
-    if elsewhere and all(figure["value"] is None for figure in result["figures"]):
-        print(f"{section}: not measured here, the figures of another machine stay", file=sys.stderr)
+    other_machine = sections.get(section, result)["hardware"] != result["hardware"]
+    if other_machine and all(figure["value"] is None for figure in result["figures"]):
+        print(
+            f"{section}: not measured on this machine; the figures of another machine are kept",
+            file=sys.stderr,
+        )
     else:
         sections[section] = result
     sections = {name: sections[name] for name in SECTIONS if name in sections}
@@ -84,31 +89,33 @@ def write(folder: Path, section: str, result: dict[str, Any]) -> None:
 
 
 def page(sections: dict[str, Any]) -> str:
-    """The results as Markdown; what most sections were made with is told once, and by the others what they were."""
-    made = [how_made(result) for result in sections.values()]
-    count = Counter(each for how in made for each in how)
-    common = [each for each in count if count[each] > len(made) / 2]
+    """Return the results as Markdown; the head has the provenance common to most sections."""
+    provenances = [provenance(result) for result in sections.values()]
+    count = Counter(value for values in provenances for value in values)
+    common = [value for value in count if count[value] > len(provenances) / 2]
     minutes = sum(result["minutes"] for result in sections.values())
-    unless = "" if all(how == made[0] for how in made) else ", unless a section says otherwise"
-    parts = [HEAD.format(made=", ".join(common) + unless, minutes=minutes)]
-    for how, (section, result) in zip(made, sections.items(), strict=True):
+    uniform = all(values == provenances[0] for values in provenances)
+    exceptions = "" if uniform else ", unless a section states otherwise"
+    parts = [HEAD.format(made=", ".join(common) + exceptions, minutes=minutes)]
+    for values, (section, result) in zip(provenances, sections.items(), strict=True):
         about = [f"took {result['minutes']:.1f} minutes"]
         if "peak_memory" in result:
             about.append(f"peak memory {result['peak_memory']:.1f} GB")
         if result.get("peak_memory_of_processes"):
-            about.append(f"{result['peak_memory_of_processes']:.1f} GB the largest process that it started")
-        if own := [each for each in how if each not in common]:
-            about.insert(0, f"made {', '.join(own)}")
-        told = "; ".join(about)
-        parts.append(f"## {TITLES.get(section, section.capitalize())}\n\n{told[0].upper()}{told[1:]}.\n")
-        parts.append("| what | median | beside | ratio | target |\n|---|---|---|---|---|")
-        parts += [row(Figure(**each)) for each in result["figures"]]
+            about.append(f"{result['peak_memory_of_processes']:.1f} GB in its largest child process")
+        if different := [value for value in values if value not in common]:
+            about.insert(0, f"made {', '.join(different)}")
+        sentence = "; ".join(about)
+        title = TITLES.get(section, section.capitalize())
+        parts.append(f"## {title}\n\n{sentence[0].upper()}{sentence[1:]}.\n")
+        parts.append("| measurement | median | reference | ratio | target |\n|---|---|---|---|---|")
+        parts += [row(Figure(**figure)) for figure in result["figures"]]
         parts += ["", *notes(result), ""]
     return "\n".join(parts).rstrip() + "\n"
 
 
-def how_made(result: dict[str, Any]) -> list[str]:
-    """Command, day, machine, versions and seed of a section."""
+def provenance(result: dict[str, Any]) -> list[str]:
+    """Return the command, day, machine, versions and seed of a section."""
     libraries = ", ".join(f"{name} {number}" for name, number in result["libraries"].items())
     return [
         f"by `{result['command']}`",
@@ -120,40 +127,38 @@ def how_made(result: dict[str, Any]) -> list[str]:
 
 
 def notes(result: dict[str, Any]) -> list[str]:
-    """What a reader has to know of a section's figures, each once."""
-    of: dict[str, list[str]] = {}
+    """Return the notes on the figures of a section, without duplicates."""
+    figures_of: dict[str, list[str]] = {}
     for figure in result["figures"]:
         if figure["note"]:
-            of.setdefault(figure["note"], []).append(figure["what"])
+            figures_of.setdefault(figure["note"], []).append(figure["what"])
     lines = []
-    for note, (first, *others) in of.items():
+    for note, (first, *others) in figures_of.items():
         more = f" and {len(others)} like it" if others else ""
         lines.append(f"- {first}{more}: {note}.")
     for kind, operators in result.get("operators", {}).items():
-        shares = ", ".join(f"{share:.0%} `{name}`" for name, share in operators)
-        lines.append(f"- the default unit's step by operator, {kind}, profiled: {shares}.")
+        fractions = ", ".join(f"{fraction:.0%} `{name}`" for name, fraction in operators)
+        lines.append(f"- the default unit's step by operator, {kind}, profiled: {fractions}.")
     return lines
 
 
 def row(figure: Figure) -> str:
-    """One line of a table."""
+    """Return a figure as a row of the table."""
     median = "not measured" if figure.value is None else f"{figure.value:.4g} {figure.unit}"
-    beside = f"{figure.limit:.4g} {figure.unit} ({figure.limit_is})" if figure.limit else ""
+    reference = f"{figure.limit:.4g} {figure.unit} ({figure.limit_is})" if figure.limit else ""
     ratio = ""
     if figure.ratio is not None:
         ratio = f"{figure.ratio:.3g} times as fast" if figure.rival else f"{figure.ratio:.0%} of the limit"
     target = ""
     if figure.target is not None:
         sign = "≤" if figure.at_most else "≥"
-        wanted = (
-            f"{figure.target:.0%} of the limit" if figure.of_limit else f"{figure.target:g} {figure.unit}"
-        )
-        target = f"{sign} {wanted}: {'met' if figure.met else '**missed**'}"
-    return f"| {figure.what} | {median} | {beside} | {ratio} | {target} |"
+        value = f"{figure.target:.0%} of the limit" if figure.of_limit else f"{figure.target:g} {figure.unit}"
+        target = f"{sign} {value}: {'met' if figure.met else '**missed**'}"
+    return f"| {figure.what} | {median} | {reference} | {ratio} | {target} |"
 
 
 def section(name: str, folder: str) -> None:
-    """Run one section and print it as one line of JSON."""
+    """Run one section and print its result as one line of JSON."""
     from imagination.utils.errors import UserError
 
     module = import_module(f"tests.benchmarks.{name}")
@@ -172,7 +177,7 @@ def section(name: str, folder: str) -> None:
 
 
 def machine() -> None:
-    """Print what all sections of a run share as one line of JSON."""
+    """Print the provenance common to all sections as one line of JSON."""
     from imagination.utils.hardware import hardware
     from tests.benchmarks.subjects import SEED
 
@@ -187,12 +192,12 @@ def machine() -> None:
 
 
 if __name__ == "__main__":
-    wrong = [name for name in sys.argv[1:] if name not in SECTIONS]
+    unknown = [name for name in sys.argv[1:] if name not in SECTIONS]
     if sys.argv[1:] == ["--machine"]:
         machine()
     elif sys.argv[1:2] == ["--section"]:
         section(*sys.argv[2:4])
-    elif wrong:
-        sys.exit(f"benchmarks: got {' '.join(wrong)}, expected any of: {', '.join(SECTIONS)}")
+    elif unknown:
+        sys.exit(f"benchmarks: got {' '.join(unknown)}, expected any of: {', '.join(SECTIONS)}")
     else:
         sys.exit(0 if main(sys.argv[1:] or list(SECTIONS)) else 1)

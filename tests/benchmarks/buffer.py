@@ -1,4 +1,4 @@
-"""The replay buffer at small scale: inserting a collection, drawing a batch."""
+"""Replay buffer at small scale: insertion of a collection, sampling of a batch."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ COLLECTION = 80
 
 
 def views_of_a_scene(folder: str, count: int = COLLECTION) -> Views:
-    """Views as training collects them."""
+    """Return views of a scene as training collects them."""
     return render_views(observer(folder), "test_0000", UniformPoses(), (SEED, 1), count)
 
 
 def run(folder: str) -> list[Figure]:
-    """All figures."""
-    desk = config(folder)
-    size, resolution = desk.scale.buffer_size, desk.scale.resolution
+    """Return all figures."""
+    run_config = config(folder)
+    size, resolution = run_config.scale.buffer_size, run_config.scale.resolution
     views = views_of_a_scene(folder)
-    buffer = ReplayBuffer(size, desk.aggregation_factor)
+    buffer = ReplayBuffer(size, run_config.aggregation_factor)
     for _ in range(-(-size // COLLECTION)):
         buffer.insert(views)
     rng = np.random.default_rng(SEED)
     batch = buffer.draw(BATCH, rng)
-    kernels = [kernel_cells(desk.kernels[name], resolution) for name in ("imaginable", "neighbourhood")]
+    kernels = [kernel_cells(run_config.kernels[name], resolution) for name in ("imaginable", "neighbourhood")]
     times = medians(
         {
             "insert": lambda: buffer.insert(views),

@@ -1,7 +1,4 @@
-"""A training step of one process and of two that exchange gradients, each on one thread with a batch of its own.
-
-And the exchange alone, from which `tests.benchmarks.scaling` predicts what two reach.
-"""
+"""Training step of one process and of two that exchange gradients, and the exchange alone; one thread each."""
 
 from __future__ import annotations
 
@@ -20,11 +17,11 @@ from tests.benchmarks.measure import Figure
 from tests.benchmarks.training import DEFAULT, SIDE, batches, product, training_step
 
 ROUNDS, CALLS = 9, 4
-"""Everything is measured in turns so often; calls in each round."""
+"""Number of rounds, and calls of each function in a round."""
 
 
 def run(folder: str) -> list[Figure]:
-    """All figures."""
+    """Return all figures."""
     batch = batches(folder, layers=1, collections=1)()
     torch.save(batch, f"{folder}/batch.pt")
     alone, *pair = workers = [Worker(folder, *place) for place in ((0, 1), (0, 2), (1, 2))]
@@ -43,17 +40,17 @@ def run(folder: str) -> list[Figure]:
             worker.close()
     times = {name: median(row[name] for row in rows) for name in turns}
     size, gradients = len(batch["rgb"]), 4 * parameters
-    what = f"training step, default unit, {resolved('auto')}, batch {size} and 1 thread a process"
+    step = f"training step, default unit, {resolved('auto')}, batch {size} and 1 thread a process"
     return [
         Figure(
-            f"{what}, 1 process",
+            f"{step}, 1 process",
             size / times["alone"],
             "samples/s",
             size / flops * 2 * SIDE**3 / times["product"],
             f"its FLOP at the rate of a matrix product of {SIDE}² on 1 thread",
         ),
         Figure(
-            f"{what}, 2 processes",
+            f"{step}, 2 processes",
             2 * size / times["together"],
             "samples/s",
             2 * size / times["alone"],
@@ -72,39 +69,40 @@ def run(folder: str) -> list[Figure]:
 
 
 class Worker:
-    """A process that does a few calls of what it is told and answers with the median seconds of one.
+    """Process that measures requested functions.
 
     Args:
-        folder: with the batch; the processes of a group meet there.
-        number: among `count` that train together.
+        folder: folder of the batch and of the rendezvous file of the group.
+        number: rank of the process.
+        count: number of processes that train together.
     """
 
     def __init__(self, folder: str, number: int, count: int) -> None:
         context = get_context("spawn")
-        self.pipe, there = context.Pipe()
-        self._process = context.Process(target=work, args=(there, folder, number, count), daemon=True)
+        self.pipe, worker_pipe = context.Pipe()
+        self._process = context.Process(target=work, args=(worker_pipe, folder, number, count), daemon=True)
         self._process.start()
-        there.close()  # so that a process that dies is noticed
+        worker_pipe.close()  # so that the end of the process closes the pipe
 
     def close(self) -> None:
-        """End it; gloo now and then aborts by itself at exit, long after its results."""
+        """Kill the process; gloo sometimes aborts at exit."""
         self._process.kill()
         self._process.join()
 
 
-def measured(workers: list[Worker], told: str) -> float:
-    """Median seconds of a call of what they do together; the slowest's."""
+def measured(workers: list[Worker], function: str) -> float:
+    """Return the median time of a joint call in the slowest worker, seconds."""
     for worker in workers:
-        worker.pipe.send(told)
+        worker.pipe.send(function)
     return max(float(worker.pipe.recv()) for worker in workers)
 
 
 def work(pipe: Connection, folder: str, number: int, count: int) -> None:
-    """What a worker's process does: tell the number of parameters and the FLOP of a step, then what it is told."""
+    """Send the number of parameters and the FLOP of a step, then measure the requested functions."""
     torch.set_num_threads(1)
     if count > 1:
-        meeting = f"file://{folder}/meeting"
-        distributed.init_process_group("gloo", init_method=meeting, rank=number, world_size=count)
+        rendezvous = f"file://{folder}/rendezvous"
+        distributed.init_process_group("gloo", init_method=rendezvous, rank=number, world_size=count)
     parameters = 0
 
     def prepare(module: nn.Module) -> nn.Module:
@@ -125,7 +123,7 @@ def work(pipe: Connection, folder: str, number: int, count: int) -> None:
     pipe.send((parameters, flops))
     while True:
         call = calls[pipe.recv()]
-        call()  # both are there, caches are warm
+        call()  # synchronises the workers and warms the caches
         times = []
         for _ in range(CALLS):
             start = perf_counter()

@@ -1,4 +1,4 @@
-"""A training step at the paper's scale on a CUDA GPU: samples a second, beside a matrix product's, and its memory."""
+"""Training step at the paper's scale on a CUDA GPU: speed relative to a matrix product, and memory."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from tests.benchmarks.subjects import SEED, config
 
 EXPERIMENTS = {
     "unit, resnet18, unet": "chair_unet",
-    "3 units side by side": "all_units",
+    "ensemble of 3 units": "all_units",
     "HRNetV2 w48": "segmentation_hrnet",
 }
 KINDS = {"32-true": torch.float32, "bf16-mixed": torch.bfloat16}
 PARTS = (1, 2, 4, 6, 12)
-"""A batch is cut into the fewest of these that fit into the GPU's memory, as `scale.accumulate` does."""
+"""Numbers of parts of a batch (`scale.accumulate`); the smallest that fits into the memory of the GPU is used."""
 
 SIDE = 8192
-"""Of the matrices multiplied."""
+"""Side of the multiplied matrices."""
 
 
 def run(folder: str) -> list[Figure]:
-    """All figures."""
+    """Return all figures."""
     if not torch.cuda.is_available():
-        return [unmeasured("training at the paper's scale", "no CUDA GPU here")]
-    as_in_training()
+        return [unmeasured("training at the paper's scale", "no CUDA GPU")]
+    use_training_kernels()
     kinds = [kind for kind in KINDS if kind == "32-true" or torch.cuda.is_bf16_supported()]
     figures = [
         figure for name in EXPERIMENTS for kind in kinds for figure in step_figures(folder, name, kind)
@@ -43,18 +43,18 @@ def run(folder: str) -> list[Figure]:
     return figures + [compiled_figure(folder, kind) for kind in kinds]
 
 
-def as_in_training() -> None:
-    """Take deterministic kernels, as `trainer.deterministic=warn` does."""
+def use_training_kernels() -> None:
+    """Select deterministic kernels, as `trainer.deterministic=warn` does."""
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
     torch.use_deterministic_algorithms(True, warn_only=True)
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
 
 
 def step_figures(folder: str, name: str, kind: str) -> list[Figure]:
-    """Speed and memory of one network's step in one precision."""
+    """Return the speed and memory of a training step of one network in one precision."""
     what = f"training step, {name}, {kind}"
     for parts in PARTS:
-        step: Callable[[], None] | None = None  # so that the memory of the last one is free
+        step: Callable[[], None] | None = None  # frees the memory of the previous step
         try:
             step, size = training_step(folder, EXPERIMENTS[name], kind, parts)
             with FlopCounterMode(display=False) as counter:
@@ -81,13 +81,13 @@ def step_figures(folder: str, name: str, kind: str) -> list[Figure]:
 
 
 def product(kind: str) -> Callable[[], None]:
-    """A plain matrix product of the type that the step's convolutions compute in, waited for."""
-    one, other = (torch.randn(SIDE, SIDE, device="cuda", dtype=KINDS[kind]) for _ in range(2))
+    """Return a synchronised matrix product with the data type of the convolutions."""
+    first, second = (torch.randn(SIDE, SIDE, device="cuda", dtype=KINDS[kind]) for _ in range(2))
 
     def multiply() -> None:
         before = torch.backends.cuda.matmul.allow_tf32
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32
-        one @ other
+        first @ second
         torch.backends.cuda.matmul.allow_tf32 = before
         torch.cuda.synchronize()
 
@@ -95,7 +95,7 @@ def product(kind: str) -> Callable[[], None]:
 
 
 def compiled_figure(folder: str, kind: str) -> Figure:
-    """What torch.compile changes of the unit's step, in turns with it."""
+    """Return the speed of the unit's step with torch.compile relative to the default."""
     what = f"training step, unit, resnet18, unet, {kind}, with torch.compile"
     try:
         (compiled, size), (default, _) = (
@@ -118,16 +118,20 @@ def training_step(
     *overrides: str,
     device: str = "cuda",
 ) -> tuple[Callable[[], None], int]:
-    """One step as configured (forward, loss, backward, optimiser), waited for, and its number of (random) views."""
+    """Return a synchronised step as configured (forward, loss, backward, optimiser), and its number of random views."""
     torch.manual_seed(SEED)
-    run = config(folder, *(overrides or ("scale=paper",)), experiment=experiment)
-    module: LightningModule = instantiate(run.model.module).to(device)
-    if run.model.module.get("compile"):
+    run_config = config(folder, *(overrides or ("scale=paper",)), experiment=experiment)
+    module: LightningModule = instantiate(run_config.model.module).to(device)
+    if run_config.model.module.get("compile"):
         module.unit.compile()
     optimizer = module.optimizer(module.parameters())
-    cells = cells_of(run.scale.ego_extent, run.scale.resolution)
+    cells = cells_of(run_config.scale.ego_extent, run_config.scale.resolution)
     batch = random_batch(
-        run.scale.batch_size // parts, run.scale.image, cells, len(run.unit_categories), device
+        run_config.scale.batch_size // parts,
+        run_config.scale.image,
+        cells,
+        len(run_config.unit_categories),
+        device,
     )
 
     def step() -> None:
@@ -140,11 +144,11 @@ def training_step(
         if device == "cuda":
             torch.cuda.synchronize()
 
-    return step, run.scale.batch_size // parts * parts
+    return step, run_config.scale.batch_size // parts * parts
 
 
 def loss_of(module: LightningModule, batch: dict[str, Tensor]) -> Tensor:
-    """Of a unit or of a first-person segmentation."""
+    """Return the loss of a unit or of a first-person segmentation."""
     if isinstance(module, LitSegmentation):
         return module.compare(batch)[0]
     loss, _ = module.loss(module(batch), batch["label"], batch["neighbourhood"])
@@ -152,11 +156,11 @@ def loss_of(module: LightningModule, batch: dict[str, Tensor]) -> Tensor:
 
 
 def random_batch(views: int, image: int, cells: int, categories: int, device: str) -> dict[str, Tensor]:
-    """Of the sizes and types that the datamodule delivers; a step takes as long on any content."""
+    """Return a random batch with the shapes and types of the data module; the content does not affect the time."""
     draw = torch.Generator(device).manual_seed(SEED)
 
-    def integers(most: int, *shape: int) -> Tensor:
-        return torch.randint(0, most, (views, *shape), generator=draw, device=device, dtype=torch.uint8)
+    def integers(high: int, *shape: int) -> Tensor:
+        return torch.randint(0, high, (views, *shape), generator=draw, device=device, dtype=torch.uint8)
 
     return {
         "rgb": integers(256, 3, image, image).contiguous(memory_format=torch.channels_last),

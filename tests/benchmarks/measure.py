@@ -1,4 +1,4 @@
-"""Timing that survives a noisy machine: what is compared is measured in turns, and medians are told."""
+"""Timing on a noisy machine: functions that are compared are called alternately, and medians are reported."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ import numpy as np
 
 @dataclass
 class Figure:
-    """One line of the results.
+    """One row of the results.
 
     Attributes:
-        what: was measured.
-        value, unit: the median; None where it could not be measured, and the note says why.
-        limit: what the machine could do at best, or what a rival does, in the same unit.
-        limit_is: what the limit is.
-        target, at_most: what is wanted, and whether less is better; None if nothing is asked.
-        of_limit: the target is a share of the limit, not a value.
-        rival: the limit is another way to the same result, not a bound.
-        note: anything a reader has to know.
+        what: name of the measurement.
+        value: median; None if it could not be measured, with the reason in the note.
+        unit: unit of the value and the limit.
+        limit: bound by the machine, or the value of another method.
+        limit_is: description of the limit.
+        target: target value, or None.
+        at_most: whether smaller values are better.
+        of_limit: whether the target is a fraction of the limit instead of a value.
+        rival: whether the limit is another method for the same result instead of a bound.
+        note: remark for the reader.
     """
 
     what: str
@@ -39,7 +41,7 @@ class Figure:
 
     @property
     def ratio(self) -> float | None:
-        """How near to the limit: 1 is there; beside a rival, how many times faster."""
+        """Fraction of the limit that is reached, or speed relative to the other method."""
         if not self.limit or not self.value:
             return None
         seconds = self.unit in ("s", "ms")
@@ -50,28 +52,28 @@ class Figure:
         """Whether the target is reached."""
         if self.target is None or self.value is None:
             return None
-        got = self.ratio if self.of_limit else self.value
-        assert got is not None
-        return got <= self.target if self.at_most else got >= self.target
+        result = self.ratio if self.of_limit else self.value
+        assert result is not None
+        return result <= self.target if self.at_most else result >= self.target
 
 
-def unmeasured(what: str, why: str) -> Figure:
-    """The line of something that this machine cannot measure."""
-    return Figure(what, None, "", note=f"not measured: {why}")
+def unmeasured(what: str, reason: str) -> Figure:
+    """Return the row of a measurement that this machine cannot make."""
+    return Figure(what, None, "", note=f"not measured: {reason}")
 
 
 def medians(
-    functions: Mapping[str, Callable[[], object]], seconds: float = 3.0, least: int = 5
+    functions: Mapping[str, Callable[[], object]], seconds: float = 3.0, min_calls: int = 5
 ) -> dict[str, float]:
-    """Median seconds of a call of each function, all called in turns for `seconds` after one call to warm up.
+    """Return the median time of a call of each function, seconds.
 
-    In turns, so that whatever else the machine does falls on all alike.
+    After a warm-up call the functions are called alternately for `seconds`, so that other load affects all alike.
     """
     for function in functions.values():
         function()
     times: dict[str, list[float]] = {name: [] for name in functions}
     end = perf_counter() + seconds
-    while perf_counter() < end or min(map(len, times.values())) < least:
+    while perf_counter() < end or min(map(len, times.values())) < min_calls:
         for name, function in functions.items():
             start = perf_counter()
             function()
@@ -80,7 +82,7 @@ def medians(
 
 
 def copying(*arrays: np.ndarray) -> Callable[[], None]:
-    """Copies as many bytes as the arrays have: the least that reading and writing them once can take."""
+    """Return a function that copies the arrays, the minimum cost of reading and writing them once."""
     pairs = [(array, np.empty_like(array)) for array in arrays]
 
     def copy() -> None:
@@ -91,8 +93,8 @@ def copying(*arrays: np.ndarray) -> Callable[[], None]:
 
 
 def peak_memory(whose: int = resource.RUSAGE_SELF) -> float:
-    """Most memory that this process has held, GB; of `RUSAGE_CHILDREN`, the largest one that it started and that ended.
+    """Return the peak memory of this process, GB, or with `RUSAGE_CHILDREN` of the largest child that has ended.
 
-    To Linux a process begins as large as the one that starts it: those that measure others start them first.
+    On Linux the peak of a child begins at the memory of its parent, so children should be started first.
     """
     return resource.getrusage(whose).ru_maxrss / 1e6

@@ -1,6 +1,6 @@
-"""What public systems do at the same place, in a few plain lines of vectorised torch with our types and results.
+"""Methods of public systems, re-implemented in vectorised torch with our types and results.
 
-Our own wording of their method, from reading their sources; the lines named are where the method stands there.
+The docstrings refer to the original sources.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ VOXEL = 0.05
 
 
 class PaddedRegistration:
-    """OccupancyAnticipation: the egocentric map is padded to the global map's size, and all of it is resampled.
+    """OccupancyAnticipation: pad the egocentric map to the size of the global map and resample all of it.
 
     github.com/facebookresearch/OccupancyAnticipation occant_baselines/models/mapnet.py, class Mapper
     (`_register`/`_spatial_transform`), with spatial_transform_map of occant_utils/common.py.
@@ -32,39 +32,40 @@ class PaddedRegistration:
         self.written = torch.zeros(1, layers, grid.rows, grid.columns, dtype=torch.bool)
 
     def register(self, values: Tensor, mask: Tensor, pose: Pose) -> None:
-        """Let one view (1, C, V, V) have its say: the same result as the Mapper with a moving average."""
+        """Fuse one view (1, C, V, V); the result is that of the Mapper with a moving average."""
         where = affine_grid(self._theta(pose), list(self.map.shape), align_corners=True)
-        # one more row of the rim, so that bilinear values at the rim are not mixed with the padding's zeros
+        # one more cell at the border, so that bilinear values at the border do not include the zeros of the padding
         padded = pad(pad(values, (1, 1, 1, 1), mode="replicate"), self._margins(1))
         new = grid_sample(padded, where, mode="bilinear", align_corners=True)
-        told = grid_sample(pad(mask.float(), self._margins(0)), where, mode="nearest", align_corners=True) > 0
+        observed = (
+            grid_sample(pad(mask.float(), self._margins(0)), where, mode="nearest", align_corners=True) > 0
+        )
         mixed = torch.where(self.written, self.factor * self.map + (1 - self.factor) * new, new)
-        self.map = torch.where(told, mixed, self.map)
-        self.written |= told
+        self.map = torch.where(observed, mixed, self.map)
+        self.written |= observed
 
-    def _margins(self, rim: int) -> tuple[int, int, int, int]:
-        """So many cells left, right, above and below that the robot comes to lie in the middle of the global map."""
+    def _margins(self, border: int) -> tuple[int, int, int, int]:
+        """Return the padding (left, right, above, below) that centres the robot in the global map, cells."""
         rows, columns, size = self.grid.rows, self.grid.columns, self.ego.cells
         left, above = columns // 2 - size // 2, rows // 2 - (size - 1)
-        return left - rim, columns - left - size - rim, above - rim, rows - above - size - rim
+        return left - border, columns - left - size - border, above - border, rows - above - size - border
 
     def _theta(self, pose: Pose) -> Tensor:
-        """From places in the global map to places in the padded one, both -1 to 1 from first to last cell."""
+        """Return the transform of normalised coordinates (-1 to 1) of the global map to those of the padded map."""
         rows, columns = self.grid.rows, self.grid.columns
         row = rows - 0.5 - (pose.y - self.grid.origin[1]) / self.grid.resolution
         column = (pose.x - self.grid.origin[0]) / self.grid.resolution - 0.5
         middle = (columns - 1) / 2, (rows - 1) / 2
         sin, cos = np.sin(pose.theta), np.cos(pose.theta)
-        # from (column, row) of the global map, about the robot, to (column, row) of the padded one, about its middle
-        turn = np.array([[sin, cos], [-cos, sin]])
-        shift = turn @ (np.array(middle) - np.array([column, row])) / np.array(middle)
+        # (column, row) from the robot in the global map to (column, row) from the middle of the padded map
+        rotation = np.array([[sin, cos], [-cos, sin]])
+        shift = rotation @ (np.array(middle) - np.array([column, row])) / np.array(middle)
         shift += (np.array([columns // 2, rows // 2]) - np.array(middle)) / np.array(middle)
-        return torch.from_numpy(np.column_stack([turn, shift])[None]).float()
+        return torch.from_numpy(np.column_stack([rotation, shift])[None]).float()
 
 
 class SplattedMapping:
-    """SemExp: points splatted into voxels with trilinear weights, summed over heights, then rotated and shifted over
-    the full map by two bilinear samplings.
+    """SemExp: splat points into voxels with trilinear weights, sum over heights, and move the map in two samplings.
 
     github.com/devendrachaplot/Object-Goal-Navigation model.py, Semantic_Mapping.forward, with splat_feat_nd of
     envs/utils/depth_utils.py and get_grid of utils/model.py.
@@ -75,12 +76,12 @@ class SplattedMapping:
         self.map = torch.zeros(1, layers, grid.rows, grid.columns)
 
     def register(self, points: Tensor, labels: Tensor, pose: Pose) -> None:
-        """Let one view have its say: the cells in which its points lie, the largest value of all views.
+        """Fuse the points of one view with the maximum.
 
         Args:
-            points: (N, 3) row, column and height of each, in cells of the egocentric grid.
-            labels: (N, C) one-hot categories.
-            pose: of the robot.
+            points: row, column and height of the points (N, 3), in cells of the egocentric grid and voxels.
+            labels: one-hot categories (N, C).
+            pose: pose of the robot.
         """
         rows, columns = self.grid.rows, self.grid.columns
         voxels = self.splat(points, labels)
@@ -90,40 +91,40 @@ class SplattedMapping:
             columns // 2 - self.ego.cells // 2,
             rows // 2 - (self.ego.cells - 1),
         )
-        whole = torch.zeros_like(self.map)
-        whole[:, :, above : above + size, left : left + size] = view
+        full = torch.zeros_like(self.map)
+        full[:, :, above : above + size, left : left + size] = view
         sin, cos = float(np.sin(pose.theta)), float(np.cos(pose.theta))
         row = rows - 0.5 - (pose.y - self.grid.origin[1]) / self.grid.resolution
         column = (pose.x - self.grid.origin[0]) / self.grid.resolution - 0.5
         middle = (columns - 1) / 2, (rows - 1) / 2
-        turn = torch.tensor([[[sin, cos, 0.0], [-cos, sin, 0.0]]])
-        away = (middle[0] - column) / middle[0], (middle[1] - row) / middle[1]
-        shift = torch.tensor([[[1.0, 0.0, away[0]], [0.0, 1.0, away[1]]]])
-        turned = grid_sample(
-            whole, affine_grid(turn, list(whole.shape), align_corners=True), align_corners=True
+        rotation = torch.tensor([[[sin, cos, 0.0], [-cos, sin, 0.0]]])
+        offset = (middle[0] - column) / middle[0], (middle[1] - row) / middle[1]
+        shift = torch.tensor([[[1.0, 0.0, offset[0]], [0.0, 1.0, offset[1]]]])
+        rotated = grid_sample(
+            full, affine_grid(rotation, list(full.shape), align_corners=True), align_corners=True
         )
-        moved = grid_sample(
-            turned, affine_grid(shift, list(whole.shape), align_corners=True), align_corners=True
+        shifted = grid_sample(
+            rotated, affine_grid(shift, list(full.shape), align_corners=True), align_corners=True
         )
-        self.map = torch.maximum(self.map, moved)
+        self.map = torch.maximum(self.map, shifted)
 
     def splat(self, points: Tensor, labels: Tensor) -> Tensor:
-        """Voxels (C, V, V, heights) with the points' labels, each shared out to the eight around it."""
+        """Return voxels (C, V, V, heights) with the labels of points, distributed over their eight neighbours."""
         shape = torch.tensor([self.ego.cells, self.ego.cells, self.heights])
         flat = torch.zeros(self.layers, int(shape.prod()))
         low = points.floor()
         for corner in torch.cartesian_prod(*[torch.tensor([0.0, 1.0])] * 3):
-            place = low + corner
-            weight = (1 - (points - place).abs()).prod(dim=1)
-            inside = ((place >= 0) & (place < shape)).all(dim=1)
-            cell = (place[:, 0] * shape[1] + place[:, 1]) * shape[2] + place[:, 2]
+            voxel = low + corner
+            weight = (1 - (points - voxel).abs()).prod(dim=1)
+            inside = ((voxel >= 0) & (voxel < shape)).all(dim=1)
+            cell = (voxel[:, 0] * shape[1] + voxel[:, 1]) * shape[2] + voxel[:, 2]
             index = torch.where(inside, cell, torch.zeros_like(cell)).long()
             flat.index_add_(1, index, (labels * (weight * inside)[:, None]).T)
         return flat.view(self.layers, *shape.tolist())
 
 
 def points_in_cells(depth: Tensor, lens: Camera, ego: EgoGrid) -> Tensor:
-    """Row, column and height of each pixel's return (N, 3), in cells of the egocentric grid and voxels of 5 cm."""
+    """Return row, column and height of each pixel (N, 3), in cells of the egocentric grid and voxels of 5 cm."""
     centre_u, centre_v = lens.principal_point
     right = (torch.arange(lens.width) + 0.5 - centre_u) / lens.focal_length * depth
     down = (torch.arange(lens.height)[:, None] + 0.5 - centre_v) / lens.focal_length * depth
@@ -135,7 +136,7 @@ def points_in_cells(depth: Tensor, lens: Camera, ego: EgoGrid) -> Tensor:
 
 
 def categories_of(points: Tensor, depth: Tensor, labels: Tensor, layers: int, room: Band) -> Tensor:
-    """Categories of the returns between floor and ceiling, one column each; `points` as `points_in_cells` gives."""
+    """Return one-hot categories of the points of `points_in_cells` between floor and ceiling."""
     height = points[:, 2] * VOXEL
     counts = (depth.view(-1) > 0) & (height >= room.low) & (height <= room.high)
     return ((labels.view(-1, 1) == torch.arange(1, layers + 1)) & counts[:, None]).float()

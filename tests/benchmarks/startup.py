@@ -1,4 +1,4 @@
-"""How long commands take to answer."""
+"""Start-up time of commands."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ COMMANDS = {
     ),
     "python -m imagination.plugins": (["-m", "imagination.plugins"], "import yaml"),
 }
-"""Words of each, and what it cannot do without."""
+"""Arguments of each command, and the imports that it requires."""
 
 
 def run(_: str) -> list[Figure]:
-    """All figures."""
-    started = {name: words for name, (words, _) in COMMANDS.items()}
-    started |= {needed: ["-c", needed] for _, needed in COMMANDS.values()}
-    times = medians({name: starting(words) for name, words in started.items()}, 1.0, 5)
+    """Return all figures."""
+    programs = {name: arguments for name, (arguments, _) in COMMANDS.items()}
+    programs |= {imports: ["-c", imports] for _, imports in COMMANDS.values()}
+    times = medians({name: starting(arguments) for name, arguments in programs.items()}, 1.0, 5)
     return [
         Figure(
             f"start-up: `{name}`",
             times[name],
             "s",
-            times[needed],
-            f"`python -c '{needed}'`",
+            times[imports],
+            f"`python -c '{imports}'`",
             2.0,
             at_most=True,
         )
-        for name, (_, needed) in COMMANDS.items()
+        for name, (_, imports) in COMMANDS.items()
     ]
 
 
-def starting(words: list[str]) -> Callable[[], object]:
-    """Runs python and waits for it."""
-    return lambda: subprocess.run([sys.executable, *words], check=True, capture_output=True)
+def starting(arguments: list[str]) -> Callable[[], object]:
+    """Return a function that runs Python and waits for its end."""
+    return lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True)

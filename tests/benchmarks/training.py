@@ -1,4 +1,4 @@
-"""A training step of each unit at small scale: samples and FLOP a second, beside a plain matrix product's."""
+"""Training step of each unit at small scale: samples and FLOP per second, relative to a matrix product."""
 
 from __future__ import annotations
 
@@ -34,34 +34,34 @@ UNITS = {
     "unit, resnet18, fpn": ("chair_unet", ("model/backbone=fpn",)),
     "projected, resnet18, unet": ("chair_unet", ("model=projected",)),
     "shared by 3 categories, resnet18, unet": ("all_shared", ()),
-    "3 units side by side, resnet18, unet": ("all_units", ()),
+    "ensemble of 3 units, resnet18, unet": ("all_units", ()),
 }
-"""An experiment and overrides of each."""
+"""Experiment and overrides of each unit."""
 
 DEFAULT = UNITS["unit, resnet18, unet (default)"]
-SHARES = {"32-true": 0.45, "bf16-mixed": 0.25}
-"""Of a matrix product's FLOP/s that the default unit's step should reach."""
+TARGETS = {"32-true": 0.45, "bf16-mixed": 0.25}
+"""Target fraction of the FLOP/s of a matrix product for the default unit's step, by precision."""
 
 SIDE = 2048
-"""Of the matrices multiplied."""
+"""Side of the multiplied matrices."""
 
 OPERATORS: dict[str, list[tuple[str, float]]] = {}
-"""Share of the default unit's step that each operator takes, in each precision; filled in by `run`."""
+"""Fraction of the default unit's step in each operator, by precision; filled by `run`."""
 
 
 def run(folder: str) -> list[Figure]:
-    """All figures."""
+    """Return all figures."""
     figures, speeds = [], {}
     for name, choice in UNITS.items():
         step, speeds[name] = steps(folder, name, choice)
         figures += step
-    for name, choice in UNITS.items():  # last, as a training sets much in its process
+    for name, choice in UNITS.items():  # last, since a training changes global settings of the process
         figures += epochs(folder, name, choice, speeds[name], 9 if choice == DEFAULT else 4)
     return figures
 
 
 def steps(folder: str, name: str, choice: tuple[str, Sequence[str]]) -> tuple[list[Figure], float]:
-    """A unit's training step alone in each precision; the samples a second of the one that `auto` is here."""
+    """Measure the training step of a unit in each precision; return figures and the samples/s of precision `auto`."""
     default, figures = choice == DEFAULT, []
     batch = batches(folder, 1 if choice[0] == "chair_unet" else 3)()
     size = len(batch["rgb"])
@@ -76,7 +76,7 @@ def steps(folder: str, name: str, choice: tuple[str, Sequence[str]]) -> tuple[li
                 "GFLOP/s",
                 2 * SIDE**3 / times["product"] / 1e9,
                 f"matrix product of {SIDE}², same type",
-                SHARES[kind] if default else None,
+                TARGETS[kind] if default else None,
                 of_limit=True,
             )
         )
@@ -88,7 +88,7 @@ def steps(folder: str, name: str, choice: tuple[str, Sequence[str]]) -> tuple[li
 
 
 class Clock(Callback):
-    """When each round of a training ended, and the share of it that waited for data."""
+    """Callback that records the end time of each epoch, and the fraction of it spent waiting for data."""
 
     def __init__(self) -> None:
         self.ends: list[float] = []
@@ -102,13 +102,13 @@ class Clock(Callback):
 def epochs(
     folder: str, name: str, choice: tuple[str, Sequence[str]], speed: float, count: int
 ) -> list[Figure]:
-    """The training itself at small scale: its workers render on the cores that it trains on.
+    """Measure a training at small scale, whose workers render on the same cores.
 
     Args:
-        folder: of the cache.
-        name, choice: the unit.
-        speed: samples a second of its step alone.
-        count: epochs; the first warms up and the last one is validated, neither is counted.
+        folder: folder of the cache.
+        name, choice: name of the unit, its experiment and overrides.
+        speed: samples/s of its step alone.
+        count: number of epochs; the first (warm-up) and the last (validation) are not measured.
     """
     experiment, overrides = choice
     sizes = (
@@ -118,11 +118,11 @@ def epochs(
         "scale.eval_views={val:16,test:16}",
         "scale.eval_every=1000",
     )
-    # with poses of its own: the cache would have those that another unit looked from
+    # a different seed for each unit, since equal poses would be read from the cache
     seed = f"seed={list(UNITS).index(name)}"
-    run = config(folder, *overrides, *sizes, seed, experiment=experiment)
-    run.paths.run = f"{folder}/rounds_{seed}"
-    model, data, trainer = build(Run(Path(run.paths.run), run, None))
+    run_config = config(folder, *overrides, *sizes, seed, experiment=experiment)
+    run_config.paths.run = f"{folder}/epochs_{seed}"
+    model, data, trainer = build(Run(Path(run_config.paths.run), run_config, None))
     clock = Clock()
     trainer.callbacks.append(clock)
     try:
@@ -130,8 +130,8 @@ def epochs(
         trainer.fit(model, datamodule=data)
     finally:
         data.close()
-    samples, kind = run.scale.update_batches * run.scale.batch_size, resolved("auto")
-    what = f"training, {name}, {kind}"
+    samples = run_config.scale.update_batches * run_config.scale.batch_size
+    what = f"training, {name}, {resolved('auto')}"
     return [
         Figure(
             f"{what}: whole epochs",
@@ -140,36 +140,37 @@ def epochs(
             speed,
             "its step alone",
             rival=True,
-            note=f"{count - 2} epochs of {samples} samples after a first one, {run.scale.workers} processes render "
-            "meanwhile; the step alone was measured before",
+            note=f"{count - 2} epochs of {samples} samples after a warm-up epoch; {run_config.scale.workers} processes "
+            "render meanwhile; the step alone was measured before",
         ),
         Figure(
-            f"{what}: share of a round that waits for data",
+            f"{what}: fraction of an epoch spent waiting for data",
             median(clock.waiting[1:-1]),
             "of the time",
             target=0.05 if choice == DEFAULT else None,
             at_most=True,
-            note="for its collection, and for its batches, which are drawn and assembled between steps",
+            note="waiting for the collection of views, and for batches, which are drawn and collated between steps",
         ),
     ]
 
 
 def batches(folder: str, layers: int, collections: int = 25) -> Callable[[], Batch]:
-    """What makes a batch at small scale, of the first so many categories of the table."""
-    desk = config(folder)
+    """Return a function that draws a batch at small scale, with the first `layers` categories of the table."""
+    run_config = config(folder)
     kernels = [
-        kernel_cells(desk.kernels[name], desk.scale.resolution) for name in ("imaginable", "neighbourhood")
+        kernel_cells(run_config.kernels[name], run_config.scale.resolution)
+        for name in ("imaginable", "neighbourhood")
     ]
-    buffer = ReplayBuffer(2000, desk.aggregation_factor)
+    buffer = ReplayBuffer(2000, run_config.aggregation_factor)
     views = views_of_a_scene(folder)
     for _ in range(collections):
         buffer.insert(views)
     rng = np.random.default_rng(SEED)
 
     def draw() -> Batch:
-        views = buffer.draw(desk.scale.batch_size, rng)
-        which = rng.random(desk.scale.batch_size) < desk.scale.hflip_probability
-        return assemble(mirrored(views, which), list(range(layers)), *kernels)
+        views = buffer.draw(run_config.scale.batch_size, rng)
+        flipped = rng.random(run_config.scale.batch_size) < run_config.scale.hflip_probability
+        return assemble(mirrored(views, flipped), list(range(layers)), *kernels)
 
     return draw
 
@@ -181,14 +182,14 @@ def training_step(
     batch: Batch,
     prepare: Callable[[LitUnit], nn.Module] = lambda module: module,
 ) -> tuple[Callable[[], None], int]:
-    """One step as configured (forward, loss, backward, optimiser), and the FLOP of its products and convolutions.
+    """Return a step as configured (forward, loss, backward, optimiser), and the FLOP of its products and convolutions.
 
     Args:
-        folder: of the cache.
-        choice: experiment and overrides.
+        folder: folder of the cache.
+        choice: experiment and overrides of the unit.
         kind: precision.
-        batch: trained on.
-        prepare: changes the module, or wraps it in what is to be called.
+        batch: training batch.
+        prepare: function that changes or wraps the module.
     """
     torch.manual_seed(SEED)
     experiment, overrides = choice
@@ -196,11 +197,11 @@ def training_step(
     network = prepare(module)
     optimizer = module.optimizer(module.parameters())
 
-    def casting() -> AbstractContextManager[object]:
+    def autocast() -> AbstractContextManager[object]:
         return torch.autocast("cpu", torch.bfloat16) if kind.startswith("bf16") else nullcontext()
 
     def step() -> None:
-        with casting():
+        with autocast():
             loss, _ = module.loss(network(batch), batch["label"], batch["neighbourhood"])
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -212,9 +213,9 @@ def training_step(
 
 
 def engineering(folder: str, kind: str, batch: Batch, default: Callable[[], None]) -> list[Figure]:
-    """What memory formats and torch.compile change of the default unit's step, in turns with it."""
+    """Measure the default unit's step with another memory format and with torch.compile, relative to the default."""
 
-    def planar(module: LitUnit) -> nn.Module:
+    def contiguous(module: LitUnit) -> nn.Module:
         module.unit.to(memory_format=torch.contiguous_format)
         return module
 
@@ -223,15 +224,15 @@ def engineering(folder: str, kind: str, batch: Batch, default: Callable[[], None
         return module
 
     figures = []
-    for name, prepare in (("contiguous instead of channels-last", planar), ("torch.compile", compiled)):
+    for name, prepare in (("contiguous instead of channels-last", contiguous), ("torch.compile", compiled)):
         what = f"the same with {name}, {kind}"
         try:
             step, _ = training_step(folder, DEFAULT, kind, batch, prepare)
             times = medians({"step": step, "default": default}, 8.0, 3)
         except BackendCompilerFailed as error:
             reason = str(error).splitlines()[0]
-            needed = "torch.compile needs a C++ compiler: install g++, or name one in CXX"
-            figures.append(unmeasured(what, f"{needed} ({reason})"))
+            advice = "torch.compile requires a C++ compiler: install g++, or set CXX"
+            figures.append(unmeasured(what, f"{advice} ({reason})"))
             continue
         size = len(batch["rgb"])
         speed, configured = size / times["step"], size / times["default"]
@@ -240,18 +241,18 @@ def engineering(folder: str, kind: str, batch: Batch, default: Callable[[], None
 
 
 def product(kind: str) -> Callable[[], object]:
-    """A plain matrix product of the type that the step computes in."""
+    """Return a matrix product with the data type of the step."""
     dtype = torch.bfloat16 if kind.startswith("bf16") else torch.float32
-    one, other = (torch.randn(SIDE, SIDE).to(dtype) for _ in range(2))
-    return lambda: one @ other
+    first, second = (torch.randn(SIDE, SIDE).to(dtype) for _ in range(2))
+    return lambda: first @ second
 
 
-def operators(step: Callable[[], None], most: int = 8) -> list[tuple[str, float]]:
-    """Share of a step's time by operator, longest first."""
-    with profile(activities=[ProfilerActivity.CPU]) as recorded:
+def operators(step: Callable[[], None], count: int = 8) -> list[tuple[str, float]]:
+    """Return the fraction of a step's time in each of the `count` slowest operators."""
+    with profile(activities=[ProfilerActivity.CPU]) as profiler:
         for _ in range(3):
             step()
-    rows = recorded.key_averages()
+    rows = profiler.key_averages()
     total = sum(row.self_cpu_time_total for row in rows)
-    longest = sorted(rows, key=lambda row: -row.self_cpu_time_total)[:most]
+    longest = sorted(rows, key=lambda row: -row.self_cpu_time_total)[:count]
     return [(row.key, row.self_cpu_time_total / total) for row in longest]

@@ -10,7 +10,7 @@ from imagination import assets
 from imagination.config.plugin_registry import activate
 from imagination.utils.errors import UserError
 from tests.conftest import Command
-from tests.helpers.sweet_home import write_catalogue, write_scene
+from tests.helpers.sweet_home import write_catalogue, write_home
 
 activate()
 
@@ -55,7 +55,7 @@ def test_the_furniture_is_downloaded_without_root_and_listed(
         line.startswith("chair") and "Test#chair1 (Chair; Somebody, CC BY 3.0)" in line for line in lines
     )
     assert lines[-1] == "12 models in use, 0 left out"
-    write_scene(tmp_path / "scenes" / "flat.sh3d")
+    write_home(tmp_path / "scenes" / "flat.sh3d")
     assets.main(["sweethome3d", f"list={tmp_path / 'scenes'}"])
     lines = capsys.readouterr().out.splitlines()
     assert lines[:2] == ["flat (train)", "    Sedia: chair (by catalogue), drawn as its model"]

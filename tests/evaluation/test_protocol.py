@@ -202,7 +202,7 @@ def test_tables_can_be_recounted_from_the_saved_maps(
                     key = str(name), str(category), f"{file['cell_width']:g}"
                     totals[key] = totals.get(key, 0) + np.array([np.sum(cells) for cells in outcomes])
     rows = mapping_rows(found, protocol, 0.1)
-    assert len(rows) == len(totals) == 7 * 2 * 2
+    assert len(rows) == len(totals) == 6 * 2 * 2
     for row in rows:
         recounted = totals[row["approach"], row["category"], row["cell_width"]].tolist()
         correct, false, truth = recounted[:3]

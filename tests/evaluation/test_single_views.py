@@ -97,5 +97,5 @@ def test_files_give_the_views_back(tmp_path: Path, singles: SingleViews) -> None
     single_views.write(tmp_path, singles)
     assert (tmp_path / single_views.FILE).read_bytes() == first
     (tmp_path / single_views.FILE).write_bytes(first[:200])
-    with pytest.raises(UserError, match=r"single views .*damaged"):
+    with pytest.raises(UserError, match=rf"single views: .*{single_views.FILE}"):
         single_views.load(tmp_path / single_views.FILE)

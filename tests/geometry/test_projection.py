@@ -105,8 +105,8 @@ def test_seen_cells_follow_the_rule(pitch: float) -> None:
             continue
         ends = np.stack([depth[v + k, u] * rays[v + k, u, :2] for k in (0, 1)]) / grid.resolution
         half = float(depth[v : v + 2, u].max()) / 64 / grid.resolution  # half a pixel's width there, in cells
-        for share in np.linspace(0, 1, 60):
-            forward, left = ends[0] + share * (ends[1] - ends[0])
+        for fraction in np.linspace(0, 1, 60):
+            forward, left = ends[0] + fraction * (ends[1] - ends[0])
             if abs(forward - round(forward)) < 0.01:  # on the centre line of a row of cells: certainly seen
                 mark(must, grid.cells - 1 - round(forward), grid.cells // 2 - left)
             for side in np.linspace(-1, 1, 9):

@@ -244,7 +244,7 @@ def test_a_scannet_folder(tmp_path: Path) -> None:
     (tmp_path / "intrinsic" / "intrinsic_depth.txt").write_text("1 2\n3 4\n")
     with pytest.raises(UserError, match=r"intrinsic_depth.txt: got .*\(2, 2\)"):
         ScanNetRecording(str(tmp_path), 1000.0, 10.0)
-    with pytest.raises(UserError, match="intrinsic: got no file"):
+    with pytest.raises(UserError, match="color: got no file"):
         ScanNetRecording(str(tmp_path / "intrinsic"), 1000.0, 10.0)
 
 
@@ -471,7 +471,7 @@ def test_a_truncated_bag_gives_the_remaining_frames(tmp_path: Path, kind: str) -
             np.testing.assert_array_equal(frame.rgb, original.rgb)
             np.testing.assert_array_equal(frame.depth, original.depth)
             np.testing.assert_allclose(frame.camera_to_world, CAMERA.to_world(original.pose), atol=1e-9)
-        assert f"{file.name} is cut off: " in message and f" {file.stat().st_size} bytes" in message
+        assert file.name in message and f" {file.stat().st_size} bytes" in message
         assert (
             f"damaged after {2 * len(got)} messages" in message
             or f"after {2 * len(got) + 1} messages" in message
@@ -547,11 +547,11 @@ def test_a_chunk_decompresses_to_at_most_its_stated_size(
     ):
         whole = chunk(inner, len(inner))
         assert [record[-1] for record in records(BytesIO(whole))] == [message]
-        with pytest.raises(BrokenRecordingError, match="bytes of a chunk .* 999"):
+        with pytest.raises(BrokenRecordingError, match="chunk: got .* 999"):
             list(records(BytesIO(chunk(inner, 999))))
         assert [record[-1] for record in records(BytesIO(chunk(whole, len(whole))))] != [message]
         monkeypatch.setattr(cut_bags, "MAX_RECORD", len(whole))
-        with pytest.raises(BrokenRecordingError, match=f"bytes of a chunk .* {len(whole)}"):
+        with pytest.raises(BrokenRecordingError, match=f"chunk: got .* {len(whole)}"):
             list(records(BytesIO(whole)))
         monkeypatch.undo()
 

@@ -62,7 +62,7 @@ def test_the_tables_agree_with_the_counts(tmp_path: Path, report: Report) -> Non
     text = (tmp_path / "mapping.csv").read_text()
     assert text.startswith(COLUMNS + ",")
     rows = {(row["approach"], row["cell_width"]): row for row in csv.DictReader(text.splitlines())}
-    assert len(rows) == 14
+    assert len(rows) == 12
     counts = report.counts[Key("imagination", "chair", 1.5)]
     row = rows["imagination", "1.5"]
     assert int(row["trials"]) == 6
@@ -75,7 +75,7 @@ def test_the_tables_agree_with_the_counts(tmp_path: Path, report: Report) -> Non
     for name, part in (("iou_seen", seen), ("iou_unseen", counts - seen)):
         assert float(row[name]) == pytest.approx(part[..., 0].sum() / part[..., 1:].sum(), abs=5e-5)
     per_trial = list(csv.DictReader((tmp_path / "trials.csv").read_text().splitlines()))
-    assert len(per_trial) == 14 * 6
+    assert len(per_trial) == 12 * 6
     assert sum(
         int(r["correct_pixels"])
         for r in per_trial

@@ -108,17 +108,19 @@ def fuzz_with_limit(parse: Callable[[Path], None], path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("parse", "message"), [(block_in_c, "Timeout (0:00:02"), (allocate_all, "more than 0.25 GiB")]
+    ("parse", "seconds", "message"),
+    [(block_in_c, 1.0, "Timeout (0:00:02"), (allocate_all, 20.0, "more than 0.25 GiB")],
 )
 def test_a_parser_that_ends_only_with_its_process_is_detected(
     parse: Callable[[Path], None],
+    seconds: float,
     message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """C code that blocks the interpreter, and a parser that catches the MemoryError."""
-    monkeypatch.setattr(fuzz, "MAX_SECONDS", 1.0)
+    monkeypatch.setattr(fuzz, "MAX_SECONDS", seconds)
     monkeypatch.setattr(fuzz, "MAX_MEMORY", 256 * MEBIBYTE)
     process = get_context("fork").Process(target=fuzz_with_limit, args=(parse, tmp_path / "damaged"))
     process.start()

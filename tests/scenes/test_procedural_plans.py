@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imagination.scenes.procedural.floor_plan.layouts import draw_plan
 from imagination.scenes.procedural.floor_plan.plan import OUTSIDE, WALL, Plan
+from imagination.scenes.procedural.floor_plan.plan_generator import draw_plan
 
 PLANS = [draw_plan(np.random.default_rng(seed)) for seed in range(120)]
 

@@ -13,7 +13,7 @@ from imagination.scenes.building_blocks.pieces import box_uv
 from imagination.scenes.building_blocks.shapes import Solid
 from imagination.scenes.procedural.furniture.distractors import BUILDERS
 from imagination.scenes.procedural.furniture.families import FAMILIES
-from imagination.scenes.procedural.furniture.stock import STYLED
+from imagination.scenes.procedural.furniture.procedural_furniture import STYLED
 from imagination.scenes.procedural.furniture.styles import draw_style
 
 HALF_TURN = np.linspace(0, np.pi, 40)

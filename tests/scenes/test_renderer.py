@@ -29,7 +29,7 @@ def quad(corners: list[list[float]], uv: list[list[float]], material: Material) 
 
 
 def facing(material: Material, uv: list[list[float]], depth: float = 4.0, half: float = 4.0) -> Mesh:
-    """Return a square across the optical axis of a camera at the origin; its first corner is lower left in the image."""
+    """Return a square across the optical axis of a camera at the origin; the first corner is lower left."""
     corners = [[-half, half, depth], [half, half, depth], [half, -half, depth], [-half, -half, depth]]
     return quad(corners, uv, material)
 

@@ -1,4 +1,4 @@
-"""Training views streamed from a dataset of shards (imagination.data.shards.writer), in a folder or behind a URL."""
+"""Streaming of training views from a dataset of shards (see imagination.data.shards.writer) in a folder or at a URL."""
 
 from __future__ import annotations
 
@@ -34,19 +34,22 @@ log = logging.getLogger(__name__)
 
 
 def check_index(index: Any, folder: Path | None) -> None:
-    """Check that an index lists plain bytes, since litdata would unpickle other items, and existing chunks.
+    """Check that all items of an index are plain bytes and that its chunks exist.
+
+    litdata unpickles items of other types, which can execute code.
 
     Args:
         index: content of the index file.
         folder: folder of the chunks; None if they are not fetched yet.
 
     Raises:
-        UserError: if the index lists other items or chunks.
+        UserError: if an item has another type, or a chunk does not exist.
     """
     config, chunks = index["config"], index["chunks"]
     if config["data_format"] != ["bytes"] or config["compression"] or config.get("encryption"):
         raise UserError(
-            f"data.shards: got items of {config['data_format']}, expected plain bytes; do not use this dataset"
+            f"data.shards: got items of {config['data_format']}, compression {config['compression']} and encryption "
+            f"{config.get('encryption')}, expected plain bytes; other items can execute code: do not use this dataset"
         )
     if config["item_loader"] != "PyTreeLoader":
         raise UserError(
@@ -62,17 +65,17 @@ def check_index(index: Any, folder: Path | None) -> None:
 
 
 def _open_remote(url: str, **options: Any) -> Any:
-    """Open a dataset behind a URL and fetch its index."""
+    """Open the dataset at a URL and fetch its index."""
     from litdata import StreamingDataset
 
     try:
-        items = StreamingDataset(url, **options)
-        len(items)  # fetches the index
-        return items
-    except Exception as error:  # each storage client raises errors of other classes
+        dataset = StreamingDataset(url, **options)
+        len(dataset)  # fetches the index
+        return dataset
+    except Exception as error:  # storage clients have no common exception class
         reason = str(error).partition("\n")[0]
         raise UserError(
-            f"data.shards: {url} cannot be fetched ({reason}); check the address and the credentials of its storage"
+            f"data.shards: {url} cannot be fetched ({reason}); check the URL and the credentials of the storage"
         ) from error
 
 
@@ -83,6 +86,15 @@ class Shards:
         place: folder or URL (s3://…, gs://…) of the dataset.
         cache: folder for cached chunks of a URL.
         gigabytes: maximum size of the cache, GB.
+
+    Attributes:
+        spec: specification of the views; see `ShardSpec`.
+        group: number of views in a group (an item of the dataset).
+        sampler: description of the pose sampler.
+        scenes: number of groups of each scene.
+        fingerprints: fingerprint of each scene.
+        views: settings that the views were rendered with.
+        largest_chunk: size of the largest chunk, bytes.
 
     Raises:
         UserError: if there is no dataset, it cannot be read, or the cache size is out of range.
@@ -126,26 +138,27 @@ class Shards:
             self.views: dict[str, Any] = about["views"]
         except UserError:
             raise
-        except Exception as error:  # litdata raises errors of any class on a damaged file
+        except Exception as error:  # litdata raises various exceptions on damaged files
             raise UserError(f"data.shards: {place} cannot be read ({error}); write it again") from error
+        # item 0 describes the dataset; the groups of each scene start here
         self._first = dict(zip(self.scenes, np.cumsum([1, *self.scenes.values()]).tolist(), strict=False))
 
     def read(self, scene: str, number: int) -> Views:
-        """Read one group of views of a scene.
+        """Read group `number` of the views of a scene.
 
         Raises:
             UserError: if the group is damaged or cannot be fetched.
         """
         try:
             return decode(bytes(self._items[self._first[scene] + number]))
-        except Exception as error:  # litdata raises errors of any class on a truncated chunk
+        except Exception as error:  # litdata raises various exceptions on truncated chunks
             raise UserError(
                 f"data.shards: item {number} of {scene} in {self.place} cannot be read ({error}); if it is damaged, "
                 f"remove {chunk_name(scene)} and write it again"
             ) from error
 
     def check_cache_size(self, scenes: int) -> None:
-        """Check that the cache can hold the chunks of `scenes` scenes; otherwise every collection would fetch them.
+        """Check that the cache can hold the chunks of `scenes` scenes; otherwise every collection would refetch them.
 
         Raises:
             UserError: if the cache is too small.
@@ -170,7 +183,7 @@ class Shards:
             )
 
     def check_scenes(self, observer: Observer, scenes: Sequence[str]) -> None:
-        """Check that scenes are the same in the dataset as in the scene source of the config.
+        """Check that scenes of the dataset equal those of the same names in the config's scene source.
 
         Raises:
             UserError: if a scene differs.
@@ -185,10 +198,10 @@ class Shards:
 
 
 class ShardCollector:
-    """Collector of training views that reads them from shards instead of rendering them; see `Collector`.
+    """Collector that reads training views from shards instead of rendering them; see `Collector`.
 
-    The parallel scenes are read completely before the next ones, so that each chunk is fetched once per pass through
-    the dataset. The views of a collection depend only on the seed and the index of the collection.
+    All views of a block of parallel scenes are read before the next block starts, so that each chunk is fetched once
+    per pass through the dataset. The views of a collection depend only on the seed and the index of the collection.
 
     Args:
         shards: dataset to read from.
@@ -209,12 +222,12 @@ class ShardCollector:
         items = min((shards.scenes[scene] for scene in scenes), default=0)
         if not items or steps % shards.group or steps // shards.group > items:
             raise UserError(
-                f"data.shards: got {len(self.scenes)} scenes of {items} x {shards.group} views, expected at least one "
-                f"scene and collections of scale.update_interval = {steps} views per scene; write the shards with that "
-                "interval"
+                f"data.shards: got {len(self.scenes)} scenes of {items} groups of {shards.group} views, expected at "
+                f"least one scene, and scale.update_interval = {steps} as a multiple of the group that a scene can "
+                "fill; write the shards with this update interval"
             )
-        self._items_each = steps // shards.group
-        self._collections = items // self._items_each  # of the same parallel scenes
+        self._groups_per_scene = steps // shards.group  # in one collection
+        self._collections_per_block = items // self._groups_per_scene
         self._reader = ThreadPoolExecutor(1)
 
     @property
@@ -226,17 +239,19 @@ class ShardCollector:
         return self._reader.submit(self._read, index).result
 
     def _read(self, index: int) -> Views:
-        window, turn = divmod(index, self._collections)
+        """Read the views of collection `index`."""
+        block, collection = divmod(index, self._collections_per_block)
         parts = []
         for slot in range(self.parallel_scenes):
-            lap, position = divmod(window * self.parallel_scenes + slot, len(self.scenes))
-            scene = self.scenes[self._shuffled(len(self.scenes), lap)[position]]
-            order = self._shuffled(self.shards.scenes[scene], lap, crc32(scene.encode()))
-            numbers = order[turn * self._items_each : (turn + 1) * self._items_each]
+            cycle, position = divmod(block * self.parallel_scenes + slot, len(self.scenes))
+            scene = self.scenes[self._shuffled(len(self.scenes), cycle)[position]]
+            order = self._shuffled(self.shards.scenes[scene], cycle, crc32(scene.encode()))
+            numbers = order[collection * self._groups_per_scene : (collection + 1) * self._groups_per_scene]
             parts += [self.shards.read(scene, number) for number in numbers]
         return concatenate(parts)
 
     def _shuffled(self, count: int, *seed: int) -> list[int]:
+        """Return a random permutation of range(count), which depends only on the run's seed and `seed`."""
         rng = np.random.default_rng([self.seed, Stream.SHARDS, *seed])
         order: list[int] = rng.permutation(count).tolist()
         return order
@@ -249,7 +264,7 @@ class ShardData(SceneData):
         shards: folder or URL of a dataset written by `python -m imagination.prepare_shards shards=…`.
         shard_cache: folder for cached chunks of a URL.
         shard_gigabytes: maximum size of the cache, GB.
-        others: arguments of `SceneData`.
+        others: further arguments of `SceneData`.
     """
 
     def __init__(self, shards: str, shard_cache: str, shard_gigabytes: float, **others: Any) -> None:
@@ -261,7 +276,7 @@ class ShardData(SceneData):
 
     def setup(self, stage: str) -> None:
         if stage == "fit":
-            self.survey("val")  # the ground truth of training views is in the shards
+            self.survey("val")  # the shards hold the ground truth of training views
         else:
             super().setup(stage)
 
@@ -323,6 +338,6 @@ class ShardData(SceneData):
             )
         if ignored := len(shards.scenes) - len(scenes):
             log.warning(
-                "data.shards: %d scenes of the dataset are no training scenes and are ignored", ignored
+                "data.shards: %d scenes of the dataset are not in the training split and are ignored", ignored
             )
         return scenes

@@ -248,9 +248,7 @@ def try_scene(observer: Observer, scene: str, folder: Path, spec: ShardSpec) -> 
         write_scene(observer, scene, folder, spec)
     except CannotWriteError:
         raise
-    except (
-        Exception
-    ) as error:  # a scene source may raise any error; the other scenes are written all the same
+    except Exception as error:  # a scene source may raise any error, which does not concern other scenes
         return f"{type(error).__name__}: {error}"
     return ""
 
@@ -313,11 +311,9 @@ def prepare_litdata() -> None:
 
 
 def _stem(scene: str) -> str:
-    """Return the stem of a scene's file names; characters that a file name may not hold are replaced."""
+    """Return the stem of a scene's file names: its name or, if it has other characters, one with a checksum."""
     safe = re.sub(r"[^\w.+-]", "_", scene)
-    return (
-        scene if safe == scene else f"{safe}-{crc32(scene.encode()):08x}"
-    )  # the checksum keeps stems distinct
+    return scene if safe == scene else f"{safe}-{crc32(scene.encode()):08x}"
 
 
 def chunk_name(scene: str) -> str:

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from imagination.geometry.camera import Camera
 from imagination.models.segmentation.hrnet import HRNetV2, at_size
+from imagination.models.tta_hflip import average_with_hflip
 from imagination.models.weights import mismatches
 from imagination.scenes.categories import CategoryTable
 from imagination.utils.errors import UserError
@@ -106,9 +107,7 @@ class PublicHRNet(nn.Module):
         most probable class that belongs to no category.
         """
         rgb = rgb.to(self.category_of_class.device)
-        logits = self.network(rgb)
-        if self.tta_hflip:
-            logits = (logits + self.network(rgb.flip(-1)).flip(-1)) / 2
+        logits = average_with_hflip(self.network, rgb) if self.tta_hflip else self.network(rgb)
         probabilities = at_size(logits, rows, columns).softmax(dim=1)
         background = probabilities[:, self.category_of_class == 0].amax(dim=1, keepdim=True)
         foreground = [

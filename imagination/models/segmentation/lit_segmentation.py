@@ -13,6 +13,7 @@ from torch.optim.lr_scheduler import LRScheduler
 from torchmetrics.classification import MulticlassConfusionMatrix
 
 from imagination.models.segmentation.hrnet import at_size
+from imagination.models.tta_hflip import average_with_hflip
 
 Batch = Mapping[str, Tensor]
 """rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for background, else category index + 1; views int64 () in a
@@ -61,11 +62,10 @@ class LitSegmentation(LightningModule):
 
     def forward(self, rgb: UInt8[Tensor, "b 3 h w"]) -> Float[Tensor, "b k p q"]:
         """Return the logits of the classes, at the output size of the network."""
+        if self.tta_hflip and not self.training:
+            return average_with_hflip(self.network, rgb)
         logits: Tensor = self.network(rgb)
-        if self.training or not self.tta_hflip:
-            return logits
-        mirrored: Tensor = self.network(rgb.flip(-1))
-        return (logits + mirrored.flip(-1)) / 2
+        return logits
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         loss, _ = self.compare(batch)

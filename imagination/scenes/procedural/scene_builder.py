@@ -9,10 +9,10 @@ from imagination.scenes.building_blocks.pieces import Placed
 from imagination.scenes.categories import CategoryTable
 from imagination.scenes.free_space import free_space
 from imagination.scenes.procedural.floor_plan.building import build_building
-from imagination.scenes.procedural.floor_plan.layouts import draw_plan
 from imagination.scenes.procedural.floor_plan.plan import Plan
+from imagination.scenes.procedural.floor_plan.plan_generator import draw_plan
 from imagination.scenes.procedural.furnishing.room_rules import furnish
-from imagination.scenes.procedural.furniture.stock import Stock
+from imagination.scenes.procedural.furniture.procedural_furniture import Stock
 from imagination.scenes.scene import FreeSpace, Lighting, Scene
 from imagination.scenes.source import Split
 from imagination.utils.errors import UserError

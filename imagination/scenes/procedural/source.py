@@ -10,7 +10,7 @@ import numpy as np
 
 from imagination.scenes.building_blocks.furniture_source import LABELS, SOURCE, Furniture
 from imagination.scenes.categories import CategoryTable
-from imagination.scenes.procedural.furniture.stock import ProceduralFurniture
+from imagination.scenes.procedural.furniture.procedural_furniture import ProceduralFurniture
 from imagination.scenes.procedural.scene_builder import build_home
 from imagination.scenes.scene import Scene
 from imagination.scenes.source import SPLITS, Credit, Split

@@ -34,9 +34,9 @@ log = logging.getLogger(__name__)
 
 NAME = "sweethome3d"
 SPLIT_FRACTIONS = {"test": 0.25, "val": 0.15}
-"""Fraction of the files in each split where the folder has no folders for splits."""
+"""Fractions of the files in the test and val splits if the folder has no subfolders for splits; train gets the rest."""
 MAX_TRIANGLES = 3_000_000
-"""Maximum number of triangles of the models of a level; further pieces become boxes."""
+"""Maximum number of triangles in the models of a level; further pieces become boxes."""
 LIGHT = Lighting(
     (0.5, 0.5, 0.5),
     np.array([[0.48, 0.36, 0.8], [-0.6, 0.0, 0.8]], np.float32),
@@ -61,11 +61,11 @@ class PieceReport(NamedTuple):
 
 
 class SweetHomes:
-    """Homes of a folder; each furnished level is a scene.
+    """Scene source of the homes in a folder; each furnished level is a scene.
 
     Args:
-        folder: folder of `.sh3d` files, either in folders train, val and test or together; the latter are split by a
-            hash of their names.
+        folder: folder of `.sh3d` files. Its subfolders train, val and test are the splits; without these subfolders the
+            files are split by a hash of their names.
         categories: category table; labels are those of procedural homes.
         robot_radius: radius of the robot, metres.
         catalogues: folder of `.sh3f` archives, from which labels of pieces are derived; None searches the assets.
@@ -85,18 +85,18 @@ class SweetHomes:
     ) -> None:
         if not folder:
             raise UserError(
-                "data.scenes.folder: got null, expected a folder of .sh3d files, in folders train, val and test or "
-                "together"
+                "data.scenes.folder: got null, expected a folder of .sh3d files, optionally with subfolders train, val "
+                "and test"
             )
         self._folder = Path(folder)
         self._categories, self._robot_radius, self._catalogues = categories, robot_radius, catalogues
         if self._folder.is_file():
-            raise UserError(f"data.scenes.folder: got the file {folder}, expected its folder")
+            raise UserError(f"data.scenes.folder: got the file {folder}, expected the folder that contains it")
         if not any(self._folder.rglob("*.sh3d")):
             raise UserError(
                 f"data.scenes.folder: found no .sh3d file in {self._folder.resolve()}"
                 f"{'' if self._folder.is_dir() else ', which does not exist'}; expected a folder of homes saved by "
-                "Sweet Home 3D 5.3 or later, in folders train, val and test or together"
+                "Sweet Home 3D 5.3 or later, optionally with subfolders train, val and test"
             )
 
     def scenes(self, split: Split) -> list[str]:
@@ -106,28 +106,29 @@ class SweetHomes:
         if not names:
             counts = ", ".join(f"{len(paths)} in {key}" for key, paths in self._files().items())
             raise UserError(
-                f"split {split}: found no homes in {self._folder} ({counts}); add files, or make folders train, val "
-                "and test"
+                f"split {split}: found no homes in {self._folder} ({counts}); add files, or sort them into subfolders "
+                "train, val and test"
             )
         return names
 
     def load(self, scene: str) -> Scene:
-        """Build one level.
+        """Build the scene of one level.
 
         Raises:
             UserError: if the scene does not exist, its file is invalid, or it has no free space for the robot.
         """
         path, level = self._level(scene)
         parts = [Placed(build_shell(level), z=level.elevation)]
-        for (piece, *_), model in self._pieces(path, level):
+        for report, model in self._pieces(path, level):
+            piece = report.piece
             z = level.elevation + piece.elevation
-            # the front of a piece is at +y here and at -y in the plan
+            # the front of a `Piece` is at +y, that of a piece in a home at -y
             parts.append(Placed(model, *piece.centre, piece.yaw + np.pi, z))
         mesh = assemble(parts)
         objects = tuple(
-            object_of(number, part, self._category(part.piece.label))
-            for number, part in enumerate(parts)
-            if number
+            object_of(index, part, self._category(part.piece.label))
+            for index, part in enumerate(parts)
+            if index  # part 0 is the shell of the level
         )
         try:
             free = free_space(mesh, level.elevation, self._robot_radius)
@@ -141,6 +142,7 @@ class SweetHomes:
         return [report for report, _ in self._pieces(*self._level(scene))]
 
     def _pieces(self, path: Path, level: Level) -> Iterator[tuple[PieceReport, Piece]]:
+        """Yield the furniture of a level, as described in the home and as built."""
         with open_archive(path) as archive:
             models = _Models(archive)
             for piece in level.furniture:
@@ -149,7 +151,7 @@ class SweetHomes:
                 yield PieceReport(piece, label, label_source, drawn_as), model
 
     def credits(self) -> Sequence[Credit]:
-        """Return the models whose authors a catalogue or a home names; unreadable homes are logged."""
+        """Return the credits of models whose authors a catalogue or a home names; unreadable homes are logged and skipped."""
         entries, _ = _known(_catalogues(self._catalogues))
         credits = set()
         for split, path in self._all_files():
@@ -168,7 +170,7 @@ class SweetHomes:
         return sorted(credits)
 
     def fingerprint(self, scene: str) -> str:
-        """Return a hash of the file, robot radius, catalogues, aliases of categories and code of this plugin."""
+        """Return a hash of the file, robot radius, catalogues, category aliases and code of this plugin."""
         path, _ = self._level(scene)
         aliases = [
             (row.name, {source: sorted(labels) for source, labels in row.aliases.items()})
@@ -186,6 +188,11 @@ class SweetHomes:
         return [(split, path) for split, paths in self._files().items() for path in paths]
 
     def _level(self, scene: str) -> tuple[Path, Level]:
+        """Return the file of a scene and its level in that file.
+
+        Raises:
+            UserError: if there is no such scene.
+        """
         for _, path in self._all_files():
             if scene.startswith(path.stem) and scene in (names := _scenes_of(path)):
                 return path, _levels_of(path)[names.index(scene)]
@@ -208,6 +215,7 @@ class SweetHomes:
 
 
 def _scenes_of(path: Path) -> list[str]:
+    """Return the names of the scenes in a file."""
     count = len(_levels_of(path))
     return [path.stem] if count == 1 else [f"{path.stem}_{number}" for number in range(count)]
 
@@ -218,46 +226,48 @@ def _levels_of(path: Path) -> tuple[Level, ...]:
 
 @lru_cache(maxsize=256)
 def _home(path: Path, _time: int) -> tuple[Level, ...]:
+    """Return the levels of a home, read again if the modification time of the file changes."""
     return read_home(path)
 
 
 def _split_files(folder: Path) -> dict[Split, list[Path]]:
-    """Return the files of each split: by folders, else by a hash of their names."""
+    """Return the files of each split: by subfolder, or by a hash of their names if there are no subfolders."""
     if any((folder / split).is_dir() for split in SPLITS):
         files = {split: sorted((folder / split).rglob("*.sh3d")) for split in SPLITS}
     else:
-        mixed = sorted(folder.rglob("*.sh3d"), key=lambda p: hashlib.sha256(p.stem.encode()).hexdigest())
-        test = max(round(SPLIT_FRACTIONS["test"] * len(mixed)), int(len(mixed) > 1))
-        val = max(round(SPLIT_FRACTIONS["val"] * len(mixed)), int(len(mixed) > 2))
-        files = {"train": mixed[test + val :], "val": mixed[test : test + val], "test": mixed[:test]}
+        by_hash = sorted(folder.rglob("*.sh3d"), key=lambda p: hashlib.sha256(p.stem.encode()).hexdigest())
+        test = max(round(SPLIT_FRACTIONS["test"] * len(by_hash)), int(len(by_hash) > 1))
+        val = max(round(SPLIT_FRACTIONS["val"] * len(by_hash)), int(len(by_hash) > 2))
+        files = {"train": by_hash[test + val :], "val": by_hash[test : test + val], "test": by_hash[:test]}
     homes = [path for paths in files.values() for path in paths]
     by_stem = {path.stem: path for path in homes}
     if len(by_stem) < len(homes):
         duplicates = sorted({path.stem for path in homes if path != by_stem[path.stem]})
         raise UserError(
-            f"homes: several files in {folder} have the name {', '.join(duplicates)}; rename all but one"
+            f"homes: got several files named {', '.join(duplicates)} in {folder}, expected distinct names; rename them"
         )
-    for stem, path in by_stem.items():  # the name of a level of one home may be that of another home
+    for stem, path in by_stem.items():  # level 1 of a.sh3d is named a_1, which may also be a file
         other = by_stem.get(stem.rpartition("_")[0])
         if other is not None and stem in _scenes_of(other) and stem in _scenes_of(path):
             raise UserError(
-                f"homes: a level of {other} and {path} are both the scene {stem!r}; rename one of them"
+                f"homes: got the scene name {stem!r} both for a level of {other} and for {path}; rename one of the files"
             )
     return files
 
 
 def _catalogues(folder: str | None) -> tuple[Path, ...]:
+    """Return the catalogues in a folder, or those among the assets, if any."""
     try:
         return find_archives(folder)
     except UserError:
         if folder is not None:
             raise
-        return ()  # homes hold their models; catalogues are needed for labels only
+        return ()  # optional: homes contain their models, and catalogues only provide labels
 
 
 @lru_cache(maxsize=4)
 def _known(archives: tuple[Path, ...]) -> tuple[dict[str, Entry], dict[str, str]]:
-    """Return catalogue entries by id, and labels by names in all languages, without ambiguous names."""
+    """Return catalogue entries by id, and labels by name in any language; ambiguous names are left out."""
     entries = {entry.id: entry for path in archives for entry in read_catalogue(path).entries}
     labels: dict[str, set[str]] = {}
     for path in archives:
@@ -270,7 +280,7 @@ def _known(archives: tuple[Path, ...]) -> tuple[dict[str, Entry], dict[str, str]
 
 
 class _Models:
-    """Models of one level; each file is read once for all its pieces."""
+    """Loader of the models of one level; a model that several pieces share is read once."""
 
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
@@ -284,7 +294,7 @@ class _Models:
             UnfitError: if the model is missing or invalid, or the level has more than MAX_TRIANGLES already.
         """
         if piece.model not in self._archive:
-            raise UnfitError(f"the file does not hold the model {piece.model!r}")
+            raise UnfitError(f"the file does not contain the model {piece.model!r}")
         if self._triangles > MAX_TRIANGLES:
             raise UnfitError(f"earlier pieces of the level have more than {MAX_TRIANGLES} triangles")
         if piece.model not in self._meshes:
@@ -300,7 +310,7 @@ class _Models:
 
 
 def _build_piece(models: _Models, piece: HomePiece, label: str) -> tuple[Piece, str]:
-    """Return a piece with its model, else a box of its size, and which of the two with the reason."""
+    """Return a piece with its model, or as a box of its size if the model is unfit, and the text for `drawn_as`."""
     name = label or piece.name or "thing"
     try:
         built, drawn_as = _with_model(models.fit(piece), piece, name), "its model"
@@ -325,7 +335,8 @@ def _with_model(model: Model, piece: HomePiece, name: str) -> Piece:
 def _tilt(vertices: Float[np.ndarray, "n 3"], piece: HomePiece) -> Float[np.ndarray, "n 3"]:
     """Rotate vertices about the width axis by the pitch, or about the depth axis by the roll if there is no pitch.
 
-    Elevation and centre are those of the tilted piece, as in the 3D view of Sweet Home 3D.
+    The result is centred at the origin and stands on the floor, because a home holds the elevation and centre of the
+    tilted piece.
     """
     across, angle = (1, piece.pitch) if piece.pitch else (0, piece.roll)
     cos, sin = np.cos(angle), np.sin(angle)
@@ -337,7 +348,7 @@ def _tilt(vertices: Float[np.ndarray, "n 3"], piece: HomePiece) -> Float[np.ndar
 
 
 def listing_of_homes(folder: Path) -> list[str]:
-    """Return a line with the label and model of each piece of the homes in a folder.
+    """Return the lines of a listing: every scene of a folder, and the label and model of each of its pieces.
 
     Raises:
         UserError: if the folder holds no home, or a home is invalid.

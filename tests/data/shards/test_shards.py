@@ -287,9 +287,8 @@ def test_a_dataset_is_read_from_an_s3_server(
 def test_a_url_that_cannot_be_fetched_is_refused(
     tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(
-        "AWS_EC2_METADATA_DISABLED", "true"
-    )  # otherwise it requests credentials over the network
+    # otherwise the client requests credentials over the network
+    monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")
     with pytest.raises(UserError, match=f"data.shards: .*{url}"):
         Shards(url, str(tmp_path), 1.0)
 
@@ -397,7 +396,7 @@ def test_a_full_disk_ends_the_dataset(tmp_path: Path, monkeypatch: pytest.Monkey
     watcher = observer(tmp_path, Rooms(5))
     for scene in SCENES:
         watcher.ground_truth(scene)  # fill the cache, so that only the chunk is written
-    monkeypatch.setattr("imagination.runs.folder.os.replace", full)
+    monkeypatch.setattr("imagination.utils.atomic_io.os.replace", full)
     written = writer.write_scenes(watcher, SCENES, tmp_path, SPEC, 0)
     with pytest.raises(errors.CannotWriteError, match="No space left on device; free some space"):
         list(written)

@@ -7,7 +7,7 @@ import numpy as np
 from imagination.scenes.building_blocks.pieces import Placed, rectangle_at
 from imagination.scenes.procedural.furnishing.groups import on_top_of
 from imagination.scenes.procedural.furnishing.placement import RoomFloor, extent, is_flat, moved, wall_pose
-from imagination.scenes.procedural.furniture.stock import Stock
+from imagination.scenes.procedural.furniture.procedural_furniture import Stock
 
 TRIES = 24
 """Maximum number of positions tried for a piece before it is left out."""
@@ -89,11 +89,11 @@ class Furnisher:
                 self.floor.put([chair])
         return True
 
-    def stand(self, label: str, chance: float = 1.0, clear: float = 0.0, topped: Sequence[str] = ()) -> None:
+    def stand(self, label: str, chance: float = 1.0, clear: float = 0.0, on_top: Sequence[str] = ()) -> None:
         """With a probability, place one piece against a wall, with smaller objects on it."""
         if self.stock.chance(chance):
             obj = Placed(self.stock.piece(label))
-            self.against_wall([obj, *on_top_of(obj, self.stock, topped, 0.4)], clear=clear)
+            self.against_wall([obj, *on_top_of(obj, self.stock, on_top, 0.4)], clear=clear)
 
     def loose(self, label: str, chance: float = 1.0) -> None:
         """With a probability, place one piece near a wall or anywhere in the room, turned by any angle."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imagination.scenes.building_blocks.pieces import Piece, Placed, Seat, Surface
-from imagination.scenes.procedural.furniture.stock import Stock
+from imagination.scenes.procedural.furniture.procedural_furniture import Stock
 
 GAP = 0.02
 """Gap between a chair and the part that it is pushed against, metres."""
@@ -142,13 +142,13 @@ def dining_group(stock: Stock, max_chairs: int) -> tuple[list[Placed], list[Plac
     return objects, chairs
 
 
-def sofa_group(stock: Stock, rich: bool) -> list[Placed]:
-    """Build a sofa with a coffee table in front, an armchair at its end if `rich`, and often a rug."""
+def sofa_group(stock: Stock, with_armchair: bool) -> list[Placed]:
+    """Build a sofa with a coffee table in front, an armchair at its end if `with_armchair`, and often a rug."""
     sofa, table = stock.piece("sofa"), stock.piece("coffee_table")
     group = [Placed(sofa)]
     placed = before(sofa, table, float(stock.rng.uniform(0.32, 0.5)))
     group += [placed, *on_top_of(placed, stock, ["books", "bowl", "vase"], 0.4)]
-    if rich:
+    if with_armchair:
         chair, side = stock.piece("armchair"), float(stock.rng.choice([-1, 1]))
         turn = side * (np.pi / 2 + stock.rng.normal(0, 0.2))
         corners = Placed(chair, 0.0, 0.0, turn).footprint()

@@ -1,4 +1,4 @@
-"""Placement in a room without overlap, with clear doors and a path for the robot between all doors."""
+"""Placement of furniture in a room: no overlap, clear doors, and a path for the robot between all inner doors."""
 
 from collections.abc import Iterable, Sequence
 
@@ -10,11 +10,11 @@ from imagination.scenes.building_blocks.pieces import Placed, rectangle_at
 from imagination.scenes.procedural.floor_plan.plan import OUTSIDE, Plan, Room, before
 
 CELL = 0.05
-"""Side of the cells for the check of paths through a room, metres."""
+"""Side of a cell of the grid on which paths through a room are checked, metres."""
 DOOR_ZONE = 0.85
-"""Depth of the floor in front of a door that is kept clear, metres."""
+"""Depth of the floor area that is kept clear in front of passages and entrances, metres."""
 TALL = 0.95
-"""Height above which furniture may not stand in front of windows, metres."""
+"""Maximum height of furniture in front of windows, metres."""
 FLAT = 0.03
 """Maximum height of flat objects such as rugs, which do not block the floor, metres."""
 
@@ -28,9 +28,9 @@ def overlap(first: Corners, second: Corners) -> bool:
     """Return whether two rectangles overlap, by the separating axis theorem; contact is not overlap."""
     for corners in (first, second):
         axes = np.stack([corners[1] - corners[0], corners[3] - corners[0]])
-        one, two = first @ axes.T, second @ axes.T
-        # projections in square metres; the tolerance allows contact
-        if ((one.max(axis=0) <= two.min(axis=0) + 1e-6) | (two.max(axis=0) <= one.min(axis=0) + 1e-6)).any():
+        a, b = first @ axes.T, second @ axes.T
+        # the axes are not normalized, so the projections are in square metres; the tolerance allows contact
+        if ((a.max(axis=0) <= b.min(axis=0) + 1e-6) | (b.max(axis=0) <= a.min(axis=0) + 1e-6)).any():
             return False
     return True
 
@@ -38,11 +38,16 @@ def overlap(first: Corners, second: Corners) -> bool:
 class RoomFloor:
     """Floor of one room during furnishing.
 
+    Args:
+        plan: floor plan of the storey.
+        number: index of the room in the plan.
+        robot_radius: radius of the robot, metres.
+
     Attributes:
         room: room of the plan.
         placed: objects placed so far, in the frame of the plan.
         kept_clear: rectangles of the floor that must stay free.
-        windows: rectangles in front of windows.
+        windows: rectangles of the floor in front of windows, without furniture higher than `TALL`.
     """
 
     def __init__(self, plan: Plan, number: int, robot_radius: float) -> None:
@@ -52,9 +57,11 @@ class RoomFloor:
         self.windows: list[Corners] = []
         self._doors: list[Corners] = []
         self._radius = robot_radius + CELL
-        self._doorsteps: list[tuple[float, float]] = []
+        self._door_points: list[
+            tuple[float, float]
+        ] = []  # in front of inner doors; paths connect all of them
         for opening in plan.openings_of(number):
-            # an open leaf is as long as the door is wide
+            # an open door leaf extends into the room by the width of the door
             depth = {"window": 0.5, "door": opening.end - opening.start + 0.05}.get(opening.kind, DOOR_ZONE)
             x0, y0, x1, y1 = before(opening, self.room, depth, 0.03)
             zone = rectangle_at((x0, y0), (x1, y1), 0.0, 0.0, 0.0)
@@ -64,13 +71,13 @@ class RoomFloor:
             self._doors.append(zone)
             if OUTSIDE not in opening.rooms:
                 x, y = zone.mean(axis=0)
-                self._doorsteps.append((float(x), float(y)))
+                self._door_points.append((float(x), float(y)))
         self.kept_clear += self._doors
         shape = tuple(int(np.ceil(side / CELL)) for side in self.room.size[::-1])
         self._blocked = np.ones(shape, np.uint8)
         border = int(np.ceil(self._radius / CELL))
         self._blocked[border:-border, border:-border] = 0
-        for x, y in self._doorsteps:  # the border in front of a door is free
+        for x, y in self._door_points:  # free even within the border
             self._blocked[self._cell(x, y)] = 0
 
     def _cell(self, x: float, y: float) -> tuple[int, int]:
@@ -101,11 +108,11 @@ class RoomFloor:
     def inside(self, corners: Corners) -> bool:
         """Return whether a rectangle is inside the room."""
         room = self.room
-        above, below = (
+        above_low, below_high = (
             corners >= (room.x0 - 1e-6, room.y0 - 1e-6),
             corners <= (room.x1 + 1e-6, room.y1 + 1e-6),
         )
-        return bool(above.all() and below.all())
+        return bool(above_low.all() and below_high.all())
 
     def _blocked_with(self, objects: Iterable[Placed]) -> Bool[np.ndarray, "h w"]:
         """Return the cells that the centre of the robot cannot occupy if `objects` are added."""
@@ -116,17 +123,17 @@ class RoomFloor:
         return blocked > 0
 
     def _passable(self, objects: Sequence[Placed]) -> bool:
-        """Return whether all doors stay connected with enough free floor if `objects` are added."""
+        """Return whether all inner doors stay connected and enough floor stays free if `objects` are added."""
         free = ~self._blocked_with([obj for obj in objects if obj.z == 0 and not is_flat(obj)])
         _, components = cv2.connectedComponents(free.astype(np.uint8), connectivity=4)
-        if not self._doorsteps:
+        if not self._door_points:
             return bool(free.any())
-        reached = {int(components[self._cell(x, y)]) for x, y in self._doorsteps}
-        if len(reached) > 1 or 0 in reached:
+        door_components = {int(components[self._cell(x, y)]) for x, y in self._door_points}
+        if len(door_components) > 1 or 0 in door_components:  # 0 is the blocked area
             return False
-        # furniture must neither cut off a part of the room nor fill it
-        count = int((components == reached.pop()).sum())
-        return bool(count >= 0.75 * free.sum() and count >= MIN_FREE_FRACTION * free.size)
+        # at most a quarter of the free floor may be unreachable from the doors
+        reachable = int((components == door_components.pop()).sum())
+        return bool(reachable >= 0.75 * free.sum() and reachable >= MIN_FREE_FRACTION * free.size)
 
     def put(self, objects: Sequence[Placed]) -> None:
         """Place objects at their poses."""
@@ -140,7 +147,7 @@ class RoomFloor:
         self.kept_clear.append(corners)
 
     def clear_above(self, corners: Corners, low: float) -> bool:
-        """Return whether no placed object is higher than `low` metres above a rectangle."""
+        """Return whether no placed object over a rectangle of the floor rises above the height `low`, metres."""
         return not any(
             obj.z + obj.piece.high[2] > low and overlap(corners, obj.footprint()) for obj in self.placed
         )
@@ -172,12 +179,12 @@ def moved(group: Sequence[Placed], x: float, y: float, yaw: float, z: float = 0.
 def wall_pose(
     room: Room, side: int, fraction: float, low: np.ndarray, high: np.ndarray, gap: float
 ) -> tuple[float, float, float] | None:
-    """Return the pose of a group with its back (lowest y) at a wall, or None if the group is too long.
+    """Return the pose of a group with its back (lowest y) at a wall, or None if the group is wider than the wall.
 
     Args:
         room: room with the wall.
         side: wall: 0 south, 1 east, 2 north, 3 west.
-        fraction: position along the wall: 0 is its left end as seen from the centre of the room, 1 its right end.
+        fraction: position along the wall: 0 is its right end as seen from the centre of the room, 1 its left end.
         low, high: extent of the group in its frame, metres.
         gap: gap between the back of the group and the wall, metres.
     """
@@ -186,15 +193,15 @@ def wall_pose(
     slack = length - (high[0] - low[0]) - 2 * 0.02
     if slack < 0:
         return None
-    # position of the group's origin, from the end of the wall where the x axis of the group starts
+    # distances of the group's origin: along the wall from its end at fraction 0, and from the wall
     along = 0.02 + slack * fraction - low[0]
-    out = gap - low[1]
+    from_wall = gap - low[1]
     match side:
         case 0:
-            return room.x0 + along, room.y0 + out, yaw
+            return room.x0 + along, room.y0 + from_wall, yaw
         case 1:
-            return room.x1 - out, room.y0 + along, yaw
+            return room.x1 - from_wall, room.y0 + along, yaw
         case 2:
-            return room.x1 - along, room.y1 - out, yaw
+            return room.x1 - along, room.y1 - from_wall, yaw
         case _:
-            return room.x0 + out, room.y1 - along, yaw
+            return room.x0 + from_wall, room.y1 - along, yaw

@@ -14,23 +14,23 @@ from imagination.scenes.procedural.furnishing.groups import (
     sofa_group,
 )
 from imagination.scenes.procedural.furnishing.placement import RoomFloor
-from imagination.scenes.procedural.furniture.stock import Stock
+from imagination.scenes.procedural.furniture.procedural_furniture import Stock
 
 
 def _bedroom(room: Furnisher) -> None:
     stock, area = room.stock, room.floor.room.area
     wide = area > 10.5 and min(room.floor.room.size) > 2.7
-    first = "double_bed" if wide and stock.chance(0.75) else "bunk_bed" if stock.chance(0.3) else "single_bed"
-    if room.against_wall(bed_group(stock, first), clear=0.5, tries=50) is None:
+    bed = "double_bed" if wide and stock.chance(0.75) else "bunk_bed" if stock.chance(0.3) else "single_bed"
+    if room.against_wall(bed_group(stock, bed), clear=0.5, tries=50) is None:
         for label in ("single_bed", "single_bed", "bunk_bed"):
             if room.against_wall(bed_group(stock, label)[:1], tries=60) is not None:
                 break
-    elif first == "single_bed" and area > 9 and stock.chance(0.5):
+    elif bed == "single_bed" and area > 9 and stock.chance(0.5):
         room.against_wall([Placed(stock.piece("single_bed"))])
     room.stand("wardrobe", 0.9, clear=0.45)
     if area > 9.5 and stock.chance(0.6):
         room.against_wall(*desk_group(stock))
-    room.stand("dresser", 0.4, clear=0.35, topped=("vase", "books", "table_lamp"))
+    room.stand("dresser", 0.4, clear=0.35, on_top=("vase", "books", "table_lamp"))
     room.loose("armchair", 0.35 if area > 12 else 0.15)
     room.loose("chair", 0.4)
     room.stand("shelf", 0.3)
@@ -40,17 +40,17 @@ def _bedroom(room: Furnisher) -> None:
 
 def _living(room: Furnisher) -> None:
     stock, area = room.stock, room.floor.room.area
-    rich = area > 15 and stock.chance(0.8)
-    sofa = room.against_wall(sofa_group(stock, rich), tries=40)
+    with_armchair = area > 15 and stock.chance(0.8)
+    sofa = room.against_wall(sofa_group(stock, with_armchair), tries=40)
     if sofa is None:
         sofa = room.against_wall(sofa_group(stock, False)[:2], tries=40)
-    screen = [Placed(stock.piece("tv_stand"))]
-    if sofa is not None and room.against_wall(screen, clear=0.4, sides=[(sofa + 2) % 4]) is None:
-        room.against_wall(screen)
+    tv_stand = [Placed(stock.piece("tv_stand"))]
+    if sofa is not None and room.against_wall(tv_stand, clear=0.4, sides=[(sofa + 2) % 4]) is None:
+        room.against_wall(tv_stand)
     if area > 24 and stock.chance(0.5):
         room.freely(sofa_group(stock, False)[:2])
     room.stand("shelf", 0.7)
-    room.stand("sideboard", 0.4, clear=0.35, topped=("vase", "books", "bowl", "table_lamp"))
+    room.stand("sideboard", 0.4, clear=0.35, on_top=("vase", "books", "bowl", "table_lamp"))
     for chance in (0.6, 0.4, 0.4 if area > 20 else 0.0):
         room.loose("armchair", chance)
     room.loose("side_table", 0.55)
@@ -63,7 +63,7 @@ def _living(room: Furnisher) -> None:
 
 def _dining(room: Furnisher) -> None:
     chair = _table(room, 8)
-    room.stand("sideboard", 0.75, clear=0.3, topped=("vase", "bowl", "books", "table_lamp"))
+    room.stand("sideboard", 0.75, clear=0.3, on_top=("vase", "bowl", "books", "table_lamp"))
     if chair is not None:  # spare chairs of the set stand at a wall
         for _ in range(int(room.rng.integers(0, 3))):
             room.against_wall([Placed(chair)])
@@ -92,11 +92,11 @@ def _kitchen(room: Furnisher) -> None:
         if units.high[0] <= counter.high[0]:
             group.append(Placed(units, 0.0, float(counter.low[1] - units.low[1]), 0.0, 1.42))
     group += on_top_of(group[0], stock, ["bowl", "vase", "books"], 0.4)
-    cold = next_to(counter, fridge, float(room.rng.choice([-1, 1])))
-    if room.against_wall([*group, cold], clear=0.7) is None:
+    placed_fridge = next_to(counter, fridge, float(room.rng.choice([-1, 1])))
+    if room.against_wall([*group, placed_fridge], clear=0.7) is None:
         # if the group is too long, retry without the fridge, then with other, usually shorter units
-        for run in (group, *([Placed(stock.piece("kitchen_counter"))] for _ in range(3))):
-            if room.against_wall(run, clear=0.6) is not None:
+        for counters in (group, *([Placed(stock.piece("kitchen_counter"))] for _ in range(3))):
+            if room.against_wall(counters, clear=0.6) is not None:
                 break
         room.against_wall([Placed(fridge)], clear=0.5)
     if stock.chance(0.45):
@@ -163,10 +163,10 @@ RULES: Mapping[RoomKind, Callable[[Furnisher], None]] = {
 def furnish(plan: Plan, stock: Stock, robot_radius: float) -> list[Placed]:
     """Furnish all rooms of a plan; without a dining room the table is in the living room or the kitchen."""
     furniture: list[Placed] = []
-    eat_in = not any(room.kind == "dining" for room in plan.rooms)
+    without_dining_room = not any(room.kind == "dining" for room in plan.rooms)
     for number, room in enumerate(plan.rooms):
         furnisher = Furnisher(RoomFloor(plan, number, robot_radius), stock)
-        if room.kind == "living" and eat_in:
+        if room.kind == "living" and without_dining_room:
             _table(furnisher, 6)
         RULES[room.kind](furnisher)
         furniture += furnisher.floor.placed
