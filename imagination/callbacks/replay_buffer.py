@@ -105,7 +105,7 @@ class ReplayBufferCallback(Callback):
         )
 
     def _fill(self, data: SceneData, collector: Collector, newest: int, lookahead: int) -> None:
-        """Insert the collections up to `newest` that fit into the buffer; start up to `lookahead` collections in advance."""
+        """Insert the collections up to `newest` that fit into the buffer; start `lookahead` collections in advance."""
         capacity = -(-self.buffer.size // collector.views_per_collection)
         indices = range(max(self._next, newest + 1 - capacity), newest + 1)
         for index in progress(indices, "collecting views") if len(indices) > 1 else indices:
@@ -121,7 +121,7 @@ class ReplayBufferCallback(Callback):
 
 
 DRAWING_THREADS = 4
-"""Number of prefetch threads on a GPU: at the paper's scale, drawing a batch takes as long as a training step on an H100."""
+"""Number of prefetch threads on a GPU: at the paper's scale, drawing a batch takes as long as a step on an H100."""
 
 
 class _EpochBatches:

@@ -32,7 +32,7 @@ def check_targets(config: DictConfig) -> None:
     """
     if call := RESOLVER.search(OmegaConf.to_yaml(config)):
         raise UserError(
-            f"config: got a value with the resolver call {call[0]!r}, expected constants and references; start a new run"
+            f"config: got a value with the resolver {call[0]!r}, expected constants and references; start a new run"
         )
     allowed = {*TRUSTED, *(package for plugin in activate() for package in plugin.packages)}
     top_packages = {prefix.partition(".")[0] for prefix in allowed}

@@ -231,7 +231,7 @@ def _shown(view: _View, rank: str, ranked: _Ranked, views: Views, selected: Sele
 
 
 def threshold_rows(results: SingleViews) -> list[Row]:
-    """Return the rows of thresholds.csv: counts at every threshold, for each approach and for the network by `CELLS`."""
+    """Return the rows of thresholds.csv: counts by threshold for each approach, and for the network by `CELLS`."""
     groups: list[tuple[str, str, str, Int64[np.ndarray, "t 3"]]] = [
         *((name, "all", category, counts) for (name, category), counts in results.counts.items()),
         *(("network", subset, category, counts) for (subset, category), counts in results.cells.items()),

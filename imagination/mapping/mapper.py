@@ -15,10 +15,10 @@ from imagination.utils.errors import UserError
 from imagination.utils.jit import compiled
 
 BYTES_PER_CELL = 8
-"""Memory per cell and layer: probability (float32) and number of views (int32, negative if the cell was only imagined)."""
+"""Memory per cell and layer, bytes: probability (float32) and view count (int32, negative while only imagined)."""
 
 SAVING_BYTES_PER_CELL = 64
-"""Memory that saving a map needs per cell of the grid: drawing its picture holds four float images at once."""
+"""Memory that saving a map needs per cell of the grid, bytes: drawing its picture holds four float images at once."""
 
 CHUNK = 128
 """Number of rows or columns by which a map is extended at once, cells."""

@@ -251,7 +251,7 @@ def decompress(compression: str, data: bytes, stated: int) -> bytes:
     content: bytes = DECOMPRESSORS[compression]().decompress(data, max_length=max_size + 1)
     if len(content) > max_size:
         raise BrokenRecordingError(
-            f"chunk: got more than {max_size} decompressed bytes, expected {stated} as in its header (at most {MAX_RECORD})"
+            f"chunk: got more than {max_size} decompressed bytes, expected {stated} (at most {MAX_RECORD})"
         )
     return content
 
@@ -259,5 +259,5 @@ def decompress(compression: str, data: bytes, stated: int) -> bytes:
 def cut_off(path: Path, file: BufferedReader) -> BrokenRecordingError:
     """Return the exception for a truncated file, read up to the position of `file`."""
     return BrokenRecordingError(
-        f"{path.name} is truncated: of its {path.stat().st_size} bytes, those before byte {file.tell()} are complete records"
+        f"{path.name} is truncated: of its {path.stat().st_size} bytes, the first {file.tell()} are complete records"
     )

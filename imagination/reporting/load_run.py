@@ -109,7 +109,9 @@ class Results:
             )
             counts = recount(self.maps)
         elif not counts:
-            self.problems.append("tables/trials.csv is missing: the evaluation has not finished or has failed")
+            self.problems.append(
+                "tables/trials.csv is missing: the evaluation has not finished or has failed"
+            )
         self.problems += missing_trials(counts, self.config)
         return counts
 
@@ -233,7 +235,9 @@ def read_view_counts(path: Path) -> dict[tuple[str, str, str], ConfusionCounts]:
     for row in read_csv(path):
         counts.setdefault((row["approach"], row["cells"], row["category"]), []).append(_counts(row, "cells"))
     if any(len(rows) != len(THRESHOLDS) for rows in counts.values()):
-        raise ValueError(f"expected {len(THRESHOLDS)} thresholds for each approach, category and subset of cells")
+        raise ValueError(
+            f"expected {len(THRESHOLDS)} thresholds for each approach, category and subset of cells"
+        )
     return {key: np.array(rows, np.int64) for key, rows in counts.items()}
 
 

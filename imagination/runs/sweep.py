@@ -37,7 +37,7 @@ class Sweep(Callback):
     """Hydra callback that registers the jobs of a sweep before it starts and summarizes them at the end."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Register all jobs before the first one starts; jobs of a hyperparameter search are registered when they start."""
+        """Register all jobs before the first one starts; a hyperparameter search registers each job when it starts."""
         if config.hydra.sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
             with user_errors_reported():
                 register_jobs(config.hydra, str(kwargs["config_name"]))

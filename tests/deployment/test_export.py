@@ -62,11 +62,15 @@ def test_predictions_equal_those_of_pytorch(files: Path, name: str) -> None:
 
 
 def test_export_keeps_the_tta_hflip_of_the_checkpoint(tmp_path: Path) -> None:
-    views, predictors = samples(3), []
+    """Two checkpoints with the same weights, one of which averages over the view and its mirror image."""
+    views, predictors, weights = samples(3), [], {}
     for tta_hflip in ("false", "true"):
         checkpoint = make_checkpoint(
             tmp_path / f"{tta_hflip}.ckpt", "scale.postprocess_dilation=0", f"scale.tta_hflip={tta_hflip}"
         )
+        state = torch.load(checkpoint, weights_only=True)
+        weights = weights or state["state_dict"]
+        torch.save(state | {"state_dict": weights}, checkpoint)
         file = checkpoint.with_suffix(".onnx")
         export([Checkpoint.read(checkpoint)], file, "onnx", "float32", views)
         predictors.append(load(file))

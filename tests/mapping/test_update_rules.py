@@ -24,14 +24,14 @@ from imagination.mapping.update_rules import (
 )
 from imagination.utils.errors import UserError
 
-RESOLUTION = 0.0625  # exact in floating point, so that shifts by whole cells are too
+RESOLUTION = 0.0625  # a power of two, so that shifts by whole cells are exact
 GRID = Grid(RESOLUTION, 60, 70, (-2.0, -1.0))
 EGO = EgoGrid(RESOLUTION, 21)
 RULES = [MovingAverage(0.9), MovingAverage(0.3), Mean(), Max(), Latest(), EntropyMovingAverage(0.8, 0.4)]
 
 
-def update_by_hand(rule: UpdateRule, values: list[float]) -> float:
-    """Value of one cell after several values, by the definition of each rule."""
+def expected_value(rule: UpdateRule, values: list[float]) -> float:
+    """Return the value of a cell after a sequence of writes, by the definition of each rule."""
     if isinstance(rule, Mean):
         return sum(values) / len(values)
     if isinstance(rule, Max):
@@ -39,17 +39,17 @@ def update_by_hand(rule: UpdateRule, values: list[float]) -> float:
     if isinstance(rule, Latest):
         return values[-1]
     assert isinstance(rule, MovingAverage | EntropyMovingAverage)
-    limit = rule.max_entropy if isinstance(rule, EntropyMovingAverage) else 1.0
+    max_entropy = rule.max_entropy if isinstance(rule, EntropyMovingAverage) else 1.0
     cell = values[0]
     for value in values[1:]:
         entropy = -sum(p * np.log(p) for p in (value, 1 - value) if p > 0)
-        if entropy <= limit:
+        if entropy <= max_entropy:
             cell = rule.aggregation_factor * cell + (1 - rule.aggregation_factor) * value
     return cell
 
 
-def pull_by_loops(values: np.ndarray, mask: np.ndarray, pose: Pose) -> list[tuple[int, int, int, float]]:
-    """Layer, row, column and value of each global cell that the view writes."""
+def cells_by_loops(values: np.ndarray, mask: np.ndarray, pose: Pose) -> list[tuple[int, int, int, float]]:
+    """Return layer, row, column and value of each global cell that a view writes."""
     last, found = EGO.cells - 1, []
     for row in range(GRID.rows):
         for column in range(GRID.columns):
@@ -73,12 +73,14 @@ def pull_by_loops(values: np.ndarray, mask: np.ndarray, pose: Pose) -> list[tupl
 
 
 def view(seed: int, layers: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """Return random values and a random mask of a view."""
     rng = np.random.default_rng(seed)
     values = rng.random((layers, 21, 21), dtype=np.float32)
     return values, rng.random((layers, 21, 21)) < 0.6
 
 
 def on_cell(row: int, column: int, theta: float) -> Pose:
+    """Return a pose at the centre of a cell of `GRID`."""
     x, y = GRID.to_points(np.array([row, column]))
     return Pose(float(x), float(y), theta)
 
@@ -88,7 +90,7 @@ def mapper(rule: UpdateRule, layers: int = 2) -> Mapper:
 
 
 @pytest.mark.parametrize("rule", RULES, ids=repr)
-def test_each_rule_agrees_with_loops(rule: UpdateRule) -> None:
+def test_each_rule_agrees_with_a_loop_over_cells(rule: UpdateRule) -> None:
     poses = [
         Pose(0.11, 0.63, 0.4),
         Pose(0.31, 0.95, 2.0),
@@ -101,19 +103,18 @@ def test_each_rule_agrees_with_loops(rule: UpdateRule) -> None:
     for seed, pose in enumerate(poses):
         values, mask = view(seed)
         global_map.register(values, mask, pose)
-        for k, row, column, value in pull_by_loops(values, mask, pose):
+        for k, row, column, value in cells_by_loops(values, mask, pose):
             history.setdefault((k, row, column), []).append(value)
     expected = np.zeros((2, *GRID.shape))
-    for cell, values_so_far in history.items():
-        expected[cell] = update_by_hand(rule, values_so_far)
+    for cell, writes in history.items():
+        expected[cell] = expected_value(rule, writes)
     written = np.zeros_like(expected, np.bool_)
     written[tuple(np.array(list(history)).T)] = True
     assert max(map(len, history.values())) >= 3
     assert np.array_equal(global_map.written, written)
     difference = np.abs(global_map.probabilities - expected)
-    assert (difference > 1e-5).sum() <= (
-        3 if isinstance(rule, EntropyMovingAverage) else 0
-    )  # values at the very limit
+    # entropies close to max_entropy may be on either side of it
+    assert (difference > 1e-5).sum() <= (3 if isinstance(rule, EntropyMovingAverage) else 0)
     assert np.isfinite(global_map.probabilities).all()
 
 
@@ -127,7 +128,7 @@ def test_moving_average_by_hand() -> None:
     assert cells == pytest.approx([0.8, 0.72, 0.748])
 
 
-def test_heading_up_the_map_writes_the_window_as_it_is() -> None:
+def test_a_view_with_heading_up_is_copied_unchanged() -> None:
     values, mask = view(0)
     global_map = mapper(Latest())
     global_map.register(values, mask, on_cell(35, 30, np.pi / 2))
@@ -138,7 +139,7 @@ def test_heading_up_the_map_writes_the_window_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("turns", range(4))
-def test_quarter_turns_are_exact(turns: int) -> None:
+def test_rotations_by_90_degrees_are_exact(turns: int) -> None:
     values, mask = view(1)
     base, turned = np.zeros((2, 2, 61, 61), np.float32)
     grid = Grid.centred(61 * RESOLUTION, RESOLUTION)
@@ -156,7 +157,8 @@ def test_quarter_turns_are_exact(turns: int) -> None:
 @given(st.integers(-9, 9), st.integers(-9, 9), st.floats(-4, 4))
 def test_whole_cell_shifts_are_exact(dr: int, dc: int, theta: float) -> None:
     maps = []
-    for row, column in ((20, 40), (20 + dr, 40 + dc)):  # 38 cells and more from every border
+    # poses are at least 30 cells from every border, and a view reaches 23 cells
+    for row, column in ((20, 40), (20 + dr, 40 + dc)):
         global_map = Mapper(Grid(RESOLUTION, 90, 90, (-2.0, -1.0)), EGO, ["chair", "bed"], MovingAverage())
         global_map.register(*view(2), on_cell(row, column, theta))
         maps.append((global_map.probabilities, global_map.written))
@@ -171,10 +173,10 @@ def test_values_agree_with_opencvs_bilinear_warp(theta: float) -> None:
     global_map = mapper(Latest(), 1)
     global_map.register(values[None], np.ones((1, 21, 21), np.bool_), pose)
     robot = GRID.rows - 0.5 - (pose.y + 1.0) / RESOLUTION, (pose.x + 2.0) / RESOLUTION - 0.5
-    # OpenCV maps (column, row): up in the view is the heading in the map, right is a quarter turn clockwise of it
+    # OpenCV uses (column, row): up in the view is the heading in the map, right is 90 degrees clockwise from it
     right, up = (np.sin(theta), np.cos(theta)), (np.cos(theta), -np.sin(theta))
-    turn = np.array([[right[0], -up[0]], [right[1], -up[1]]])
-    affine = np.column_stack([turn, np.array(robot[::-1]) - turn @ [10, 20]])
+    rotation = np.array([[right[0], -up[0]], [right[1], -up[1]]])
+    affine = np.column_stack([rotation, np.array(robot[::-1]) - rotation @ [10, 20]])
     warped = cv2.warpAffine(values, affine, GRID.shape[::-1], flags=cv2.INTER_LINEAR)
     inside = (
         cv2.warpAffine(np.ones((21, 21), np.float32), affine, GRID.shape[::-1], flags=cv2.INTER_LINEAR)
@@ -186,25 +188,25 @@ def test_values_agree_with_opencvs_bilinear_warp(theta: float) -> None:
 
 
 @pytest.mark.parametrize("theta", np.linspace(-3, 3, 9))
-def test_solid_shapes_survive_any_turn(theta: float) -> None:
+def test_solid_shapes_keep_their_form_under_any_rotation(theta: float) -> None:
     grid, ego, pose = Grid.centred(14.02, 0.02), EgoGrid(0.02, 261), Pose(0.217, -0.331, float(theta))
 
-    def shape(points: np.ndarray) -> np.ndarray:
+    def inside_shape(points: np.ndarray) -> np.ndarray:
         centre = pose.to_world(np.array([2.5, 0.3]))
         x, y = points[..., 0] - centre[0], points[..., 1] - centre[1]
         return (np.hypot(x, y) < 1.0) | ((np.abs(x) < 1.6) & (np.abs(y) < 0.4))
 
-    values = shape(ego.centres(pose))[None]
+    values = inside_shape(ego.centres(pose))[None]
     global_map = Mapper(grid, ego, ["chair"], MovingAverage())
     global_map.register(values.astype(np.float32), np.ones_like(values), pose)
     got = global_map.probabilities[0] >= 0.5
-    expected = shape(grid.to_points(np.moveaxis(np.indices(grid.shape), 0, -1)))
+    expected = inside_shape(grid.to_points(np.moveaxis(np.indices(grid.shape), 0, -1)))
     assert (got & expected).sum() / (got | expected).sum() > 0.98
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-4, 4), st.floats(-3, 5), st.floats(-7, 7))
-def test_a_cell_outside_the_window_stays_untouched(x: float, y: float, theta: float) -> None:
+def test_cells_outside_the_window_do_not_change(x: float, y: float, theta: float) -> None:
     pose, global_map = Pose(x, y, theta), mapper(Latest(), 1)
     values, everywhere = np.ones((1, 21, 21), np.float32), np.ones((1, 21, 21), np.bool_)
     for row in range(5, 60, 20):
@@ -232,7 +234,7 @@ def test_cells_without_evidence_do_not_change() -> None:
 
 
 @pytest.mark.parametrize("rule", RULES, ids=repr)
-def test_the_first_write_is_taken_whole_even_if_it_is_zero(rule: UpdateRule) -> None:
+def test_the_first_write_sets_the_value_even_if_it_is_zero(rule: UpdateRule) -> None:
     global_map, everywhere = mapper(rule, 1), np.ones((1, 21, 21), np.bool_)
     pose = on_cell(30, 30, 0.0)
     global_map.register(np.full((1, 21, 21), 0.375, np.float32), everywhere, pose)
@@ -242,7 +244,7 @@ def test_the_first_write_is_taken_whole_even_if_it_is_zero(rule: UpdateRule) -> 
     assert not global_map.probabilities.any()
     global_map.register(np.zeros((1, 21, 21), np.float32), everywhere, pose)
     global_map.register(np.ones((1, 21, 21), np.float32), everywhere, pose)
-    assert global_map.probabilities[0, 30, 30] == pytest.approx(update_by_hand(rule, [0.0, 1.0]))
+    assert global_map.probabilities[0, 30, 30] == pytest.approx(expected_value(rule, [0.0, 1.0]))
 
 
 @pytest.mark.parametrize("rule", RULES, ids=str)
@@ -250,22 +252,22 @@ def test_the_first_write_is_taken_whole_even_if_it_is_zero(rule: UpdateRule) -> 
 @given(
     writes=st.lists(st.tuples(st.floats(0, 1, width=32), st.booleans()), min_size=1, max_size=8),
 )
-def test_the_first_sighting_replaces_what_was_only_imagined(
+def test_the_first_observation_replaces_imagined_values(
     rule: UpdateRule, writes: list[tuple[float, bool]]
 ) -> None:
-    small = mapper(rule, layers=1)
+    global_map = mapper(rule, layers=1)
     everywhere = np.ones((1, 21, 21), bool)
     for value, imagined in writes:
         values = np.full((1, 21, 21), value, np.float32)
-        small.register(values, everywhere, on_cell(30, 30, 0.0), everywhere if imagined else None)
-    first_sighting = next((at for at, (_, imagined) in enumerate(writes) if not imagined), 0)
-    expected = update_by_hand(rule, [value for value, _ in writes[first_sighting:]])
-    cells = small.probabilities[small.written]
+        global_map.register(values, everywhere, on_cell(30, 30, 0.0), everywhere if imagined else None)
+    first_observation = next((index for index, (_, imagined) in enumerate(writes) if not imagined), 0)
+    expected = expected_value(rule, [value for value, _ in writes[first_observation:]])
+    cells = global_map.probabilities[global_map.written]
     np.testing.assert_allclose(cells, expected, atol=2e-6)
-    assert small.written.sum() > 300
+    assert global_map.written.sum() > 300
 
 
-def test_far_outside_the_map_nothing_happens() -> None:
+def test_views_far_outside_the_map_change_nothing() -> None:
     global_map = mapper(Latest())
     for pose in (Pose(1e300, 0.0, 0.4), Pose(-50.0, 3.0, 0.0), Pose(0.0, 60.0, 1.0)):
         global_map.register(*view(5), pose)
@@ -300,22 +302,21 @@ def test_aggregation_factor_out_of_range_is_refused(factor: float) -> None:
         (None, None, Pose(0.0, 0.0, np.inf), "pose: got .*(nan|inf)"),
     ],
 )
-def test_bad_views_are_refused_and_change_nothing(
+def test_invalid_views_are_refused_and_change_nothing(
     monkeypatch: pytest.MonkeyPatch,
     values: np.ndarray | None,
     mask: np.ndarray | None,
     pose: Pose | None,
     message: str,
 ) -> None:
-    monkeypatch.setattr(
-        jaxtyping.config, "jaxtyping_disable", True
-    )  # as for a user, who runs without the checker
-    good_values, good_mask = view(6)
+    # outside the tests, jaxtyping checks no shapes
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    valid_values, valid_mask = view(6)
     global_map = mapper(MovingAverage())
     with pytest.raises(UserError, match=message):
         global_map.register(
-            good_values if values is None else values,
-            good_mask if mask is None else mask,
+            valid_values if values is None else values,
+            valid_mask if mask is None else mask,
             pose or Pose(0.0, 0.0, 0.0),
         )
     assert not global_map.written.any()
@@ -330,7 +331,7 @@ def test_a_map_that_does_not_fit_in_memory_is_refused(monkeypatch: pytest.Monkey
         mapper(Mean())
 
 
-def test_saving_needs_as_much_memory_as_counted(tmp_path: Path) -> None:
+def test_saving_needs_at_most_the_estimated_memory(tmp_path: Path) -> None:
     grid, layers = Grid(0.05, 600, 500, (0.0, 0.0)), 4
     global_map = Mapper(grid, EgoGrid(0.05, 21), [*"abcd"], Mean())
     maps = Maps(
@@ -347,8 +348,8 @@ def test_saving_needs_as_much_memory_as_counted(tmp_path: Path) -> None:
     save_maps(tmp_path, maps, [(200, 0, 0)] * (layers - 1))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    counted = mapper_module.SAVING_BYTES_PER_CELL * grid.rows * grid.columns
-    assert 0.5 * counted < peak < counted
+    estimate = mapper_module.SAVING_BYTES_PER_CELL * grid.rows * grid.columns
+    assert 0.5 * estimate < peak < estimate
 
 
 def test_views_of_another_resolution_and_maps_without_layers_are_refused() -> None:

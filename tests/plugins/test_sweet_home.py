@@ -694,7 +694,10 @@ def test_an_arc_bends_away_from_its_chord() -> None:
         (lambda folder: None, r"data\.scenes\.folder: .*does not exist"),
         (lambda folder: folder.mkdir(), "found no .sh3d file in"),
         (lambda folder: write_home(folder / "a.sh3d"), "split val: found no homes"),
-        (lambda folder: [write_home(folder / d / "a.sh3d") for d in ("train", "val")], "homes: got .*named a in"),
+        (
+            lambda folder: [write_home(folder / d / "a.sh3d") for d in ("train", "val")],
+            "homes: got .*named a in",
+        ),
         (
             lambda folder: [
                 write_home(folder / "train/a.sh3d", TWO_LEVELS),

@@ -133,7 +133,7 @@ def test_our_own_targets_are_trusted(experiment: str) -> None:
     "target",
     [
         "os.system",
-        "imagination.runs.folder.os.remove",
+        "imagination.utils.atomic_io.os.replace",
         "imagination.utils.atomic_io.write_text",
         "torch.load",
         "lightning.fabric.utilities.cloud_io._load",

@@ -222,9 +222,9 @@ class ShardCollector:
         items = min((shards.scenes[scene] for scene in scenes), default=0)
         if not items or steps % shards.group or steps // shards.group > items:
             raise UserError(
-                f"data.shards: got {len(self.scenes)} scenes of {items} groups of {shards.group} views, expected at "
-                f"least one scene, and scale.update_interval = {steps} as a multiple of the group that a scene can "
-                "fill; write the shards with this update interval"
+                f"data.shards: got {len(self.scenes)} scenes with {items} groups of {shards.group} views, expected at "
+                f"least one scene with {steps} views, in groups whose size divides scale.update_interval = {steps}; "
+                "write the shards with this update interval"
             )
         self._groups_per_scene = steps // shards.group  # in one collection
         self._collections_per_block = items // self._groups_per_scene

@@ -91,7 +91,9 @@ class SweetHomes:
         self._folder = Path(folder)
         self._categories, self._robot_radius, self._catalogues = categories, robot_radius, catalogues
         if self._folder.is_file():
-            raise UserError(f"data.scenes.folder: got the file {folder}, expected the folder that contains it")
+            raise UserError(
+                f"data.scenes.folder: got the file {folder}, expected the folder that contains it"
+            )
         if not any(self._folder.rglob("*.sh3d")):
             raise UserError(
                 f"data.scenes.folder: found no .sh3d file in {self._folder.resolve()}"
@@ -151,7 +153,7 @@ class SweetHomes:
                 yield PieceReport(piece, label, label_source, drawn_as), model
 
     def credits(self) -> Sequence[Credit]:
-        """Return the credits of models whose authors a catalogue or a home names; unreadable homes are logged and skipped."""
+        """Return the credits of models whose author a catalogue or a home names; log and skip unreadable homes."""
         entries, _ = _known(_catalogues(self._catalogues))
         credits = set()
         for split, path in self._all_files():
@@ -250,7 +252,7 @@ def _split_files(folder: Path) -> dict[Split, list[Path]]:
         other = by_stem.get(stem.rpartition("_")[0])
         if other is not None and stem in _scenes_of(other) and stem in _scenes_of(path):
             raise UserError(
-                f"homes: got the scene name {stem!r} both for a level of {other} and for {path}; rename one of the files"
+                f"homes: got the scene name {stem!r} for a level of {other} and for {path}; rename one of the files"
             )
     return files
 
@@ -335,7 +337,7 @@ def _with_model(model: Model, piece: HomePiece, name: str) -> Piece:
 def _tilt(vertices: Float[np.ndarray, "n 3"], piece: HomePiece) -> Float[np.ndarray, "n 3"]:
     """Rotate vertices about the width axis by the pitch, or about the depth axis by the roll if there is no pitch.
 
-    The result is centred at the origin and stands on the floor, because a home holds the elevation and centre of the
+    The result is centred horizontally and stands on the floor, because a home holds the elevation and centre of the
     tilted piece.
     """
     across, angle = (1, piece.pitch) if piece.pitch else (0, piece.roll)

@@ -2,7 +2,6 @@
 
 import re
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -416,16 +415,20 @@ def test_a_stray_pose_is_not_mapped(frames: list[RecordedFrame]) -> None:
     assert node.counts == {"mapped": 3, "refused: jump of the pose": 1}
 
 
-def test_the_end_of_a_drive_is_published_too(frames: list[RecordedFrame]) -> None:
+def test_the_end_of_a_drive_is_published_too(
+    frames: list[RecordedFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr("imagination_ros.node.time.monotonic", lambda: now[0])
     listener = Listener()
     node = make_node(listener, period=0.2)
     for number, taken in enumerate(frames[:2]):
         send(node, taken, not number)
         assert node.step(1.0)
     assert len(listener.received["occupancy"]) == 1  # the second came too soon
-    time.sleep(0.2)
+    now[0] = 0.2
     assert not node.step(0.0) and len(listener.received["occupancy"]) == 2
-    time.sleep(0.2)
+    now[0] = 0.4
     assert not node.step(0.0) and len(listener.received["occupancy"]) == 2  # nothing new
 
 

@@ -57,9 +57,8 @@ class RoomFloor:
         self.windows: list[Corners] = []
         self._doors: list[Corners] = []
         self._radius = robot_radius + CELL
-        self._door_points: list[
-            tuple[float, float]
-        ] = []  # in front of inner doors; paths connect all of them
+        # points in front of inner doors, which paths must connect
+        self._door_points: list[tuple[float, float]] = []
         for opening in plan.openings_of(number):
             # an open door leaf extends into the room by the width of the door
             depth = {"window": 0.5, "door": opening.end - opening.start + 0.05}.get(opening.kind, DOOR_ZONE)
