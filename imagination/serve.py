@@ -42,9 +42,8 @@ class Server(Protocol):
 def serve(config: DictConfig) -> None:
     """Map until interrupted, then save the map."""
     predictor = mapper_from_config.predictor_of(config)
-    mapper_from_config.mapper_of(
-        config, predictor, RgbdCamera.of(predictor.spec.camera)
-    )  # checks the config before the server starts
+    # checks the config before the server starts
+    mapper_from_config.mapper_of(config, predictor, RgbdCamera.of(predictor.spec.camera))
     server: Server = instantiate(config.server, _convert_="all")
     mappers: list[SemanticMapper] = []
 

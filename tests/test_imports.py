@@ -1,5 +1,6 @@
 """Imports: geometry and mapping need no torch, and commands start quickly."""
 
+import ast
 import resource
 import subprocess
 import sys
@@ -24,6 +25,14 @@ for path in files:
     importlib.import_module(name)
 print(len(files))
 """
+
+
+PUBLIC = (
+    *("geometry", "ground_truth", "mapping", "recordings", "utils", "views", "deployment", "viewers"),
+    *("scenes.building_blocks", "scenes.categories", "scenes.free_space", "scenes.renderer", "scenes.scene"),
+    *("scenes.sensor", "scenes.source", "models", "callbacks", "data"),
+)
+"""Packages and modules of imagination that plugins may import."""
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
@@ -66,3 +75,14 @@ def test_shapes_are_checked() -> None:
 
     with pytest.raises((BeartypeCallHintViolation, TypeCheckError)):
         Pose(0.0, 0.0, 0.0).to_world(np.zeros((4, 3)))
+
+
+def test_plugins_import_only_what_is_public() -> None:
+    files = [*ROOT.glob("plugins/**/*.py"), *(ROOT / "tests" / "helpers" / "example_plugin").glob("**/*.py")]
+    assert len(files) > 20
+    allowed = tuple(f"imagination.{name}" for name in PUBLIC)
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "imagination":
+                assert any(f"{node.module}.".startswith(f"{name}.") for name in allowed), (file, node.module)
+                assert not any(alias.name.startswith("_") for alias in node.names), (file, node.module)

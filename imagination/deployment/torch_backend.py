@@ -173,9 +173,8 @@ def describe(config: DictConfig, chosen_thresholds: Sequence[float]) -> UnitSpec
     obstacles: Band = instantiate(config.obstacles)
     names = tuple(config.unit_categories)
     colours = tuple(tuple(config.categories[name].colour) for name in names)
-    thresholds = tuple(
-        round(value, 6) for value in chosen_thresholds
-    )  # removes the float32 error, e.g. of 0.95
+    # removes the float32 error, e.g. of 0.95
+    thresholds = tuple(round(value, 6) for value in chosen_thresholds)
     mapping = config.mapping.valid_threshold, config.mapping.valid_kernel
     return UnitSpec(names, colours, thresholds, camera, ego, Band(*map(float, obstacles)), *mapping)
 

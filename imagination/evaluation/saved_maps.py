@@ -110,7 +110,7 @@ def load(path: Path) -> SavedMaps:
     """Read the maps of a trial.
 
     Raises:
-        UserError: if the file is missing, damaged or no file of maps.
+        UserError: if the file is missing or damaged, or does not hold maps.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -125,10 +125,12 @@ def load(path: Path) -> SavedMaps:
         names = {name: arrays.pop(name).tolist() for name in ("approaches", "categories")}
         return _checked(SavedMaps(trial, **names, **arrays, grid=grid))
     except FileNotFoundError as error:
-        raise UserError(f"maps: got {path}, which does not exist; evaluate again to make it") from error
-    except Exception as error:  # zip, zlib and NumPy raise various types on damaged files
         raise UserError(
-            f"maps {path}: is damaged or no file of maps ({error}); evaluate again to make it"
+            f"maps: got {path}, which does not exist; run the evaluation again to write it"
+        ) from error
+    except Exception as error:  # zip, zlib and NumPy raise various exceptions on damaged files
+        raise UserError(
+            f"maps {path}: is damaged or does not hold maps ({error}); run the evaluation again to write it"
         ) from error
 
 
@@ -136,7 +138,7 @@ def _checked(maps: SavedMaps) -> SavedMaps:
     """Check types and shapes of the arrays and return the maps.
 
     Raises:
-        UserError: if an array does not fit, with the first such array.
+        UserError: with the name of the first array that has a wrong type or shape.
     """
     for names in (maps.approaches, maps.categories):
         if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):

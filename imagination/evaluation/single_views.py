@@ -300,7 +300,7 @@ def load(path: Path) -> tuple[list[SingleView], float]:
             arrays = dict(file)
         views = [_checked(view) for view in from_arrays(arrays)]
         return views, check_range("resolution", float(arrays["resolution"]), 0.005, 1.0)
-    except Exception as error:  # zip, zlib and NumPy raise various types on damaged files
+    except Exception as error:  # zip, zlib and NumPy raise various exceptions on damaged files
         raise UserError(
             f"single views: {path} cannot be read ({error}); run the evaluation again to write it"
         ) from error

@@ -60,7 +60,9 @@ class TrialPlan(NamedTuple):
         return area_of(gt, self.setting.layers, views["pose"], self.setting.ego, margin)
 
 
-def count_trial(observer: Observer, scene: str, trial: Trial, plan: TrialPlan, predictions: Predictions) -> Arrays:
+def count_trial(
+    observer: Observer, scene: str, trial: Trial, plan: TrialPlan, predictions: Predictions
+) -> Arrays:
     """Count pixels for threshold selection: [c, k, t, 3] by category, kernel and threshold for each approach."""
     views = views_of(observer, trial, plan.sampling)
     area = plan.area(observer, trial, views)

@@ -121,9 +121,8 @@ class Frames:
                 self._holes += images.depth.size - int(np.count_nonzero(images.depth))
                 self._pixels += images.depth.size
                 yield Frame(shot.stamp, *images, shot.camera_to_world)
-                self.mapped += (
-                    not self._last_refused
-                )  # after the yield, since mapping may have been interrupted
+                # after the yield, since mapping may have been interrupted
+                self.mapped += not self._last_refused
 
     def summary(self) -> str:
         """Summarize the number of mapped frames, their fraction of depth holes and the reasons of skipped frames."""

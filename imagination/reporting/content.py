@@ -316,9 +316,8 @@ def _training(results: Results) -> Iterator[Drawing]:
 def _further(results: Results) -> Iterator[Plain]:
     """Yield the tables that no other section shows."""
     for path in sorted((results.folder / "tables").glob("*.csv")):
-        from_report = path.name.startswith(
-            ("iou", "correct_pixels.", "paired_")
-        )  # written by an earlier report
+        # written by an earlier report
+        from_report = path.name.startswith(("iou", "correct_pixels.", "paired_"))
         if path.name not in PRIMARY_TABLES and not from_report:
             rows = results.table(path.name)
             if 0 < len(rows) <= MAX_ROWS:

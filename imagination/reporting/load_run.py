@@ -206,7 +206,7 @@ class Results:
         """Return `read(path)`; if the file is damaged, report it in `problems` and return None."""
         try:
             return read(path)
-        except Exception as error:  # readers raise various types on damaged files
+        except Exception as error:  # readers raise various exceptions on damaged files
             self.problems.append(f"{path.relative_to(self.folder)} is damaged and left out ({error})")
             return None
 

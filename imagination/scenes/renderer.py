@@ -86,9 +86,8 @@ class Renderer:
     def __init__(self, mesh: Mesh, lighting: Lighting) -> None:
         _check(mesh)
         self._scene = EmbreeScene()
-        self._triangles = TriangleMesh(
-            self._scene, mesh.vertices, mesh.faces
-        )  # must live as long as the scene
+        # must live as long as the scene
+        self._triangles = TriangleMesh(self._scene, mesh.vertices, mesh.faces)
         self._faces = _Faces(mesh.face_instance, mesh.face_material, mesh.face_uv, _shades(mesh, lighting))
         self._atlas = _pack(mesh.materials)
 

@@ -75,9 +75,8 @@ class Preview:
         """
         if not self._pictures:
             return
-        pictures = (
-            Image.open(BytesIO(data)) for data in self._pictures
-        )  # decoded one at a time, to bound memory
+        # decoded one at a time, to bound memory
+        pictures = (Image.open(BytesIO(data)) for data in self._pictures)
         with replacing(self._file) as temporary:
             if self.format == "gif":
                 write_gif(temporary, pictures, self.rate)

@@ -50,11 +50,12 @@ class Observer:
     )
 
     def __getstate__(self) -> dict[str, Any]:
+        # renderers cannot be pickled
         return {
             **self.__dict__,
             "_loaded": {},
             "_ground_truths": {},
-        }  # renderers cannot be pickled
+        }
 
     def scene(self, name: str) -> Scene:
         """Return a scene; each process loads it once."""

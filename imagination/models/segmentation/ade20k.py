@@ -129,7 +129,7 @@ def read(folder: Path, part: str) -> dict[str, Tensor]:
         raise UserError(f"ade20k: got {names} in {folder}, expected one file {part}_*.pth")
     try:
         state = torch.load(paths[0], map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises errors of any class on a damaged file
+    except Exception as error:  # torch raises various exceptions on a damaged file
         raise UserError(
             f"ade20k: {paths[0]} cannot be read: it is truncated or holds more than weights; download it again"
         ) from error

@@ -138,9 +138,8 @@ def tube(path: Sequence[Point], radius: float | Sequence[float], sides: int = 8)
     radii = np.broadcast_to(np.asarray(radius, np.float64), len(points))
     rings = []
     for point, direction, reach in zip(points, tangent, radii, strict=True):
-        side = (
-            side - (side @ direction) * direction
-        )  # parallel transport along the path, so that the bar does not twist
+        # parallel transport along the path, so that the bar does not twist
+        side = side - (side @ direction) * direction
         side /= np.linalg.norm(side)
         across = np.cross(direction, side)
         rings.append(point + reach * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * across))

@@ -56,9 +56,8 @@ def top_height(corners: Float32[np.ndarray, "m 3 3"]) -> float:
     bins = np.round(z[level] / 0.01).astype(int)
     areas = np.bincount(bins, weights=area[level])
     most = int(areas.argmax())
-    near = np.flatnonzero(
-        areas[most : most + 8] > 0.3 * areas[most]
-    )  # the underside may be as large as the top
+    # the underside may be as large as the top
+    near = np.flatnonzero(areas[most : most + 8] > 0.3 * areas[most])
     return float((most + near.max()) * 0.01)
 
 
