@@ -1,4 +1,5 @@
 """Reference results of scale=test in fp32: scenes, poses, integer maps and tables.
 
-Written anew, after a change that is meant to change results, by `python -m tests.reference`; the change log says why.
+Computed at commit 041e48c, before the code was restructured. After a change that is meant to change results, write it
+with `python -m tests.reference`; the changelog states why.
 """
