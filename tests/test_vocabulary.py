@@ -23,6 +23,7 @@ def sources(*suffixes: str) -> Iterator[Path]:
         for path in sorted((ROOT / folder).rglob("*")):
             if path.suffix in suffixes and path != REFUSED_NAMES:
                 yield path
+    yield from (path for path in (ROOT / "pyproject.toml",) if path.suffix in suffixes)
 
 
 def docstrings(text: str) -> Iterator[tuple[int, str]]:
@@ -39,7 +40,7 @@ def test_replaced_words_do_not_come_back(word: str) -> None:
     pattern = re.compile(rf"(?<![\w-]){re.escape(word)}(?![\w-])", re.IGNORECASE if word.islower() else 0)
     found = [
         f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
-        for path in sources(".py", ".yaml", ".j2")
+        for path in sources(".py", ".yaml", ".j2", ".toml")
         for number, line in enumerate(path.read_text().splitlines(), 1)
         if pattern.search(line)
     ]

@@ -37,6 +37,7 @@ RENAMED_KEYS: Mapping[str, str] = {
     "callbacks.progress": "callbacks.progress_bar",
     "callbacks.early_stopping.margin": "callbacks.early_stopping.min_delta",
     "callbacks.mapping_evaluation.homes": "callbacks.mapping_evaluation.scenes",
+    "viewer.most": "viewer.max_frames",
 }
 """New names of keys, and of what lies below them."""
 
@@ -45,6 +46,14 @@ RENAMED_PATTERNS: Mapping[str, str] = {
     r"categories\.(\w+)\.members": r"categories.\1.aliases",
 }
 """New names of keys with a part that users choose."""
+
+RENAMED_VALUES: Mapping[tuple[str, str], str] = {
+    ("postprocess", "keep"): "none",
+    ("postprocess", "grow"): "dilate",
+    ("postprocess", "truth"): "ground_truth",
+    ("needs", "plain_maps"): "raw_maps",
+}
+"""New values, by the last part of today's key and the old value."""
 
 RENAMED_OPTIONS: Mapping[tuple[str, str], str] = {
     ("scale", "desk"): "small",
@@ -87,7 +96,7 @@ def check_renamed(command: str, overrides: Iterable[str]) -> None:
     """
     for text in overrides:
         name, equals, value = text.lstrip("+~").partition("=")
-        if not equals or not re.match(r"[A-Za-z]", name):
+        if not (equals or text.startswith("~")) or not re.match(r"[A-Za-z]", name):
             continue
         group = name.partition("@")[0]
         for option in re.split(r"[\[\], ]+", value):
@@ -98,8 +107,10 @@ def check_renamed(command: str, overrides: Iterable[str]) -> None:
                 f"shards: got {text!r}, which is another command now; expected "
                 f"python -m imagination.prepare_shards shards={value}"
             )
-        if (new_name := renamed(name)) != name:
-            raise UserError(f"{name}: was renamed; got {text!r}, expected {new_name}={value}")
+        new_name = renamed(name)
+        new_value = RENAMED_VALUES.get((new_name.rpartition(".")[2], value), value)
+        if (new_name, new_value) != (name, value):
+            raise UserError(f"{name}: was renamed; got {text!r}, expected {new_name}{equals}{new_value}")
         removed = (keys for commands, keys in REMOVED_KEYS.items() if command in commands)
         for key, reason in (item for keys in removed for item in keys.items()):
             if name == key or name.startswith(f"{key}."):

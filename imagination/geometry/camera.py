@@ -1,4 +1,4 @@
-"""The pinhole camera on the robot (docs/conventions.md: optical frame x right, y down, z forward)."""
+"""Pinhole camera of the robot (docs/conventions.md: optical frame x right, y down, z forward)."""
 
 from dataclasses import dataclass
 

@@ -35,17 +35,17 @@ class Preview:
     Args:
         format: mp4 or gif.
         rate: frames per second.
-        most: largest number of video frames; when it is exceeded, every second frame is dropped and the interval
+        max_frames: largest number of video frames; when it is exceeded, every second frame is dropped and the interval
             between frames doubles.
 
     Raises:
         UserError: if a value is out of range.
     """
 
-    def __init__(self, format: str = "mp4", rate: float = 10.0, most: int = 300) -> None:
+    def __init__(self, format: str = "mp4", rate: float = 10.0, max_frames: int = 300) -> None:
         self.format = check_choice("viewer.format", format, ("gif", "mp4"))
         self.rate = check_range("viewer.rate", rate, 0.1, 60.0, "frames per second")
-        self.most = int(check_range("viewer.most", most, 2, 10_000, "frames"))
+        self.max_frames = int(check_range("viewer.max_frames", max_frames, 2, 10_000, "frames"))
         self._pictures: list[bytes] = []  # compressed, to bound the memory of long recordings
         self._seen, self._every = 0, 1
         self._path: list[Pose] = []
@@ -59,7 +59,7 @@ class Preview:
             colours = self._mapper.spec.colours
             picture = draw_update(update, self._mapper.maps, colours, self._path)
             self._pictures.append(cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
-            if len(self._pictures) > self.most:
+            if len(self._pictures) > self.max_frames:
                 self._pictures, self._path, self._every = (
                     self._pictures[::2],
                     self._path[::2],

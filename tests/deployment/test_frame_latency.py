@@ -129,7 +129,7 @@ def test_one_frame_at_small_scale_takes_fifty_milliseconds(
 
 @pytest.mark.slow
 def test_memory_does_not_grow_over_ten_thousand_frames(tmp_path: Path, unit: Path) -> None:
-    mapper, viewer = SemanticMapper(load(unit)), Preview("gif", most=20)
+    mapper, viewer = SemanticMapper(load(unit)), Preview("gif", max_frames=20)
     viewer.open(tmp_path, mapper)
     seen = frames(TRAINING_CAMERA)
 

@@ -192,12 +192,12 @@ def test_a_killed_process_stops_the_job_which_resumes(command: Command, tmp_path
     assert "another training process has ended" in text, text
     assert f"ckpt_path={last.relative_to(tmp_path).parts[0]}" in text
     epochs = read_state(last)["epoch"] + 1
-    before = Checkpoint.read(last).record["samples"]
+    before = Checkpoint.read(last).training_stats["samples"]
     done = command("train", *TWO, *long, "resume=latest", f"trainer.max_epochs={epochs + 1}", timeout=1200)
     assert done.returncode == 0, done.stderr
     assert read_state(last)["epoch"] == epochs
     # exactly one more epoch: the counts of the earlier epochs come from the checkpoint
-    assert Checkpoint.read(last).record["samples"] == before * (epochs + 1) // epochs
+    assert Checkpoint.read(last).training_stats["samples"] == before * (epochs + 1) // epochs
     steps = read_state(last)["global_step"]
     assert (
         steps * read_state(last)["imagination"]["values"]["scale"]["batch_size"]

@@ -200,7 +200,7 @@ def workers(ancestor: int) -> list[int]:
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            if b"ray::run_job" in (folder / "cmdline").read_bytes():
+            if b"ray::run_sweep_job" in (folder / "cmdline").read_bytes():
                 found.append(int(folder.name))
         except OSError:
             continue

@@ -39,7 +39,7 @@ def test_a_film_as_mp4(tmp_path: Path) -> None:
 
 
 def test_a_film_as_gif_is_thinned_where_it_is_long(tmp_path: Path) -> None:
-    play(Preview("gif", most=4), tmp_path, repeats=3)
+    play(Preview("gif", max_frames=4), tmp_path, repeats=3)
     with Image.open(tmp_path / "preview.gif") as film:
         assert 2 <= film.n_frames <= 5 and film.size == (960, 480)  # type: ignore[attr-defined]
 

@@ -135,7 +135,7 @@ class ProceduralHomes:
 
 @cache
 def _code_version() -> str:
-    """Hash of the code that homes come from, and of the library whose random numbers they use."""
+    """Return the hash of the code that builds homes and of the version of NumPy, whose random numbers it uses."""
     scenes = Path(__file__).parents[1]
     code = scenes / "procedural", scenes / "building_blocks", scenes / "free_space.py"
     return code_hash(*code, versions=[np.__version__])

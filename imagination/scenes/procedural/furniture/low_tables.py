@@ -7,8 +7,8 @@ import numpy as np
 from imagination.scenes.building_blocks.palette import Palette
 from imagination.scenes.building_blocks.pieces import Assembly, Piece
 from imagination.scenes.building_blocks.shapes import bent, box, ellipse, lathe, prism, rectangle, tube
+from imagination.scenes.procedural.furniture.dining_tables import CORNERS, around, square_legs
 from imagination.scenes.procedural.furniture.styles import Style
-from imagination.scenes.procedural.furniture.tables import CORNERS, around, square_legs
 
 
 def _low(table: Assembly, style: Style, palette: Palette) -> None:

@@ -11,11 +11,11 @@ from imagination.scenes.procedural.furniture.armchairs import build_armchair
 from imagination.scenes.procedural.furniture.beds import build_bed
 from imagination.scenes.procedural.furniture.chairs import build_chair
 from imagination.scenes.procedural.furniture.desks import build_desk
+from imagination.scenes.procedural.furniture.dining_tables import build_dining_table
 from imagination.scenes.procedural.furniture.distractors import build_distractor
 from imagination.scenes.procedural.furniture.low_tables import build_low_table
 from imagination.scenes.procedural.furniture.office_chairs import build_office_chair
 from imagination.scenes.procedural.furniture.styles import Style, draw_style
-from imagination.scenes.procedural.furniture.tables import build_dining_table
 from imagination.scenes.source import Credit, Split
 
 STYLED: Mapping[str, Callable[[Style, Palette], Piece]] = {
