@@ -12,7 +12,7 @@ from imagination.geometry.pose import Pose
 from imagination.scenes.renderer import Renderer
 from imagination.views.pose_samplers import sample_poses
 from tests.benchmarks.subjects import with_triangles
-from tests.scenes.test_procedural_homes import homes
+from tests.scenes.procedural.test_procedural_homes import homes
 
 TRIANGLES, VIEWS, REPEATS = 250_000, 100, 7
 
