@@ -16,6 +16,7 @@ from imagination.config.compose import compose
 from imagination.runs.preflight import out_of_memory_reported
 from imagination.utils.errors import UserError
 from tests.conftest import ROOT, Command
+from tests.reference.results import check_table
 from tests.runs.test_resume import points
 
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
@@ -45,6 +46,7 @@ def test_a_whole_run(command: Command, tmp_path: Path) -> None:
     ).split():
         assert (run / name).stat().st_size > 0, name
     assert "networks in 32-true" in (run / "tables" / "mapping.md").read_text()
+    check_table(run / "tables" / "mapping.csv", "chair_unet")
     assert list(run.glob("figures/*.png"))
     shown = set(points(run / "tensorboard"))
     assert shown >= {f"train/{name}" for name in ("loss", "learning_rate", "samples_per_second")}

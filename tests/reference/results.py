@@ -2,11 +2,13 @@
 
 import csv
 import hashlib
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from hydra.utils import instantiate
 
 from imagination.config.compose import compose
@@ -88,3 +90,19 @@ def table(path: Path) -> dict[str, dict[str, Any]]:
         }
         for row in rows
     }
+
+
+def read_reference() -> dict[str, Any]:
+    """Return the stored reference; its maps are in maps.npz."""
+    content: dict[str, Any] = json.loads((FOLDER / "reference.json").read_text())
+    return content
+
+
+def check_table(path: Path, experiment: str) -> None:
+    """Check that the IoU of a mapping.csv is within 0.005 of the reference, and pixel counts within 2 %."""
+    found, expected = table(path), read_reference()["tables"][experiment]
+    assert found.keys() == expected.keys()
+    for row, values in expected.items():
+        for column, value in values.items():
+            tolerance = 0.005 if column.startswith("iou") else max(3.0, 0.02 * value)
+            assert found[row][column] == pytest.approx(value, abs=tolerance), (row, column)
