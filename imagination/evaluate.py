@@ -77,7 +77,7 @@ def evaluate(
     device = "cuda" if torch.cuda.is_available() else "cpu"
     networks: list[Any] = [checkpoint.model() for checkpoint in checkpoints]
     if config.ade20k:
-        observer, hflip = data.observer, config.scale.tta_hflip
+        observer, hflip = data.observer, config.model.tta_hflip
         networks.append(PublicHRNet.load(Path(config.ade20k), observer.categories, observer.camera, hflip))
     try:
         evaluation = run.evaluate(protocol, data, [network.to(device) for network in networks], folder)

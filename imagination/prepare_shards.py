@@ -36,12 +36,12 @@ def main(config: DictConfig) -> None:
 
     observer: Observer = instantiate(config.data.observer)
     split = cast(Split, check_choice("split", config.split, SPLITS))
-    sampler, group = instantiate(config.data.sampler), config.scale.update_interval
+    sampler, group = instantiate(config.data.sampler), config.callbacks.replay_buffer.update_interval
     spec = writer.ShardSpec(sampler, config.seed, config.views, group)
     folder, scenes = Path(config.shards), observer.source.scenes(split)[config.part :: config.parts]
     folder.mkdir(parents=True, exist_ok=True)
     log_file = folder / f"render_{config.part}_of_{config.parts}.log"
-    workers = config.scale.workers
+    workers = config.data.workers
     with logging_to(log_file), writer.at_work(folder):
         missing = writer.unwritten(folder, observer, scenes, spec)
         start, failed = perf_counter(), []

@@ -14,7 +14,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from imagination.config.overrides import override_group
+from imagination.config.key_roles import Role, role
+from imagination.config.overrides import override_group, override_key
 from imagination.config.validation import validate
 from imagination.evaluation.checkpoint_config import evaluation_config
 from imagination.runs.command import command, run_command
@@ -26,16 +27,12 @@ from imagination.utils.timing import stage, stage_timer
 
 log = logging.getLogger(__name__)
 
-STUDY_KEYS = ("experiments", "compare")
-"""Config keys that only this command reads."""
-
-
 @command("study", validate)
 def main(config: DictConfig) -> None:
     """Train the missing networks, then evaluate all networks together."""
-    overrides = [text for text in HydraConfig.get().overrides.task if override_group(text) not in STUDY_KEYS]
+    overrides = [text for text in HydraConfig.get().overrides.task if role(override_key(text)) != Role.COMMAND]
     training = [text for text in overrides if not is_evaluation_only(text)]
-    evaluation = [f"+study={config.compare}"]
+    evaluation = [f"study={config.compare}"]
     evaluation += [text for text in overrides if is_evaluation_only(text) or override_group(text) == "paths"]
     check_evaluation(config.experiments, training, evaluation)
     outputs = Path(config.paths.outputs)

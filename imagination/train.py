@@ -76,11 +76,15 @@ def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     model = instantiate(config.model.module)
     data = instantiate(config.data.module)
-    callbacks = [ConfigInCheckpoint(config), *(instantiate(node) for node in config.callbacks.values())]
+    # a scale also sets values of callbacks that are not selected, which have no `_target_`
+    selected = [node for node in config.callbacks.values() if "_target_" in node]
+    callbacks = [ConfigInCheckpoint(config), *map(instantiate, selected)]
     trainer = instantiate(
         config.trainer,
         strategy=strategy(config.trainer.devices * config.trainer.num_nodes),
         precision=resolved(config.trainer.precision),
+        # to Lightning, micro-batches are batches
+        accumulate_grad_batches=config.trainer.accumulate_grad_batches * config.data.micro_batches,
         callbacks=callbacks,
         logger=instantiate(config.logger),
         plugins=[CheckpointFiles(), cluster_environment()],

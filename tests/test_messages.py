@@ -41,8 +41,8 @@ def busy(folder: Path) -> None:
 
 
 CASES: dict[str, Callable[[Path], object]] = {
-    "value out of range": lambda folder: train("scale.workers=-1"),
-    "list expected": lambda folder: train("scale.cell_widths=3.0"),
+    "value out of range": lambda folder: train("data.workers=-1"),
+    "list expected": lambda folder: train("evaluation.cell_widths=3.0"),
     "unknown category": lambda folder: train("unit_categories=[sofa]"),
     "unknown choice": lambda folder: check_choice("split", "testing", ("train", "val", "test")),
     "renamed key": lambda folder: check_renamed("train", ["scale.rounds=3"]),

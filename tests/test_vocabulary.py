@@ -14,14 +14,14 @@ BANNED = (
     *("UntilFlat", "SideBySide", "truth_pixels", "false_pixels", "held_out_views", "scale=desk"),
 )
 DOCSTRING_STARTS = ("What", "That", "Whose", "Of")
-REFUSED_NAMES = ROOT / "imagination" / "config" / "renamed_keys.py"
+REFUSED_NAMES = [ROOT / "imagination" / "config" / name for name in ("renamed_keys.py", "key_roles.py")]
 """Names the old keys in order to refuse them."""
 
 
 def sources(*suffixes: str) -> Iterator[Path]:
     for folder in ("imagination", "conf", "plugins"):
         for path in sorted((ROOT / folder).rglob("*")):
-            if path.suffix in suffixes and path != REFUSED_NAMES:
+            if path.suffix in suffixes and path not in REFUSED_NAMES:
                 yield path
     yield from (path for path in (ROOT / "pyproject.toml",) if path.suffix in suffixes)
 

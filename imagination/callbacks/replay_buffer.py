@@ -7,7 +7,6 @@ import numpy as np
 import torch
 from lightning import Callback, LightningModule, Trainer
 
-from imagination.config.key_roles import MICRO_BATCH_KEYS
 from imagination.data.augmentation import mirrored
 from imagination.data.collate import Batch
 from imagination.data.datamodule import SceneData
@@ -72,13 +71,7 @@ class ReplayBufferCallback(Callback):
         if world_size() > 1:  # each process has a part of the buffer
             self.buffer = ReplayBuffer(self.buffer.size // world_size(), self.buffer.aggregation_factor)
         per_process = data.batch_size // world_size()
-        check_range(
-            MICRO_BATCH_KEYS[data.predicts],
-            trainer.accumulate_grad_batches,
-            1,
-            per_process,
-            "micro-batches",
-        )
+        check_range("data.micro_batches", data.micro_batches, 1, per_process, "micro-batches")
         data.epochs = _EpochBatches(self, data, trainer)
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -131,7 +124,7 @@ class _EpochBatches:
         self.callback, self.data, self.trainer = callback, data, trainer
 
     def __len__(self) -> int:
-        return self.callback.update_batches * self.trainer.accumulate_grad_batches
+        return self.callback.update_batches * self.data.micro_batches
 
     def __iter__(self) -> Iterator[Batch]:
         threads = DRAWING_THREADS if self._on_gpu else 0
@@ -150,7 +143,7 @@ class _EpochBatches:
         views = self.callback.buffer.draw(per_process, rng)
         flipped = rng.random(per_process) < self.callback.hflip_probability
         batch = self.data.assemble(mirrored(views, flipped))
-        micro_batches = parts(batch, self.trainer.accumulate_grad_batches)
+        micro_batches = parts(batch, self.data.micro_batches)
         return [pinned(part) for part in micro_batches] if self._on_gpu else list(micro_batches)
 
 
@@ -160,10 +153,10 @@ def pinned(batch: Batch) -> Batch:
 
 
 def parts(batch: Batch, count: int) -> Iterator[Batch]:
-    """Yield `count` micro-batches of a batch for gradient accumulation.
+    """Yield `count` micro-batches of a batch, whose losses add up to that of the batch.
 
-    Each micro-batch also holds the values of the whole batch that scale the loss: the counts of `batch_counts` for
-    maps, the number of views for first-person images.
+    Each micro-batch also holds their number and the values of the whole batch that scale the loss: the counts of
+    `batch_counts` for maps, the number of views for first-person images.
     """
     if count == 1:
         yield batch
@@ -173,4 +166,5 @@ def parts(batch: Batch, count: int) -> Iterator[Batch]:
     else:
         whole = {"views": torch.tensor(len(batch["rgb"]))}
     for first in range(count):
-        yield {**{name: values[first::count].clone() for name, values in batch.items()}, **whole}
+        part = {name: values[first::count].clone() for name, values in batch.items()}
+        yield {**part, **whole, "micro_batches": torch.tensor(count)}

@@ -1,37 +1,20 @@
-"""Compose configurations from the core's conf tree and those of plugins."""
+"""Compose configurations as the commands do."""
 
 import hydra
-from hydra.core.config_search_path import ConfigSearchPath
-from hydra.core.config_store import ConfigStore
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.plugins import Plugins
-from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig
 
-from imagination.config.plugin_registry import activate, core_conf
-
-
-class _SearchPath(SearchPathPlugin):
-    """Search path that appends the conf trees of valid plugins to that of the core."""
-
-    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        for plugin in activate():
-            search_path.append(provider=f"plugin {plugin.name}", path=f"file://{plugin.conf}")
+from imagination.config.overrides import without_plus
+from imagination.config.search_path import hydra_initialized
+from imagination.config.unknown_keys import check_added_keys, unknown_keys_reported
 
 
 def compose(config_name: str, overrides: list[str]) -> DictConfig:
-    """Compose a config as a command does, in a script or within another command."""
-    if GlobalHydra.instance().is_initialized():
-        return hydra.compose(config_name, overrides)
-    register_plugins()
-    with hydra.initialize_config_dir(str(core_conf()), version_base="1.3"):
-        return hydra.compose(config_name, overrides)
+    """Compose a config as a command does, in a script or within another command.
 
-
-def register_plugins() -> None:
-    """Add the conf trees of plugins to the search path of Hydra."""
-    activate()  # before Hydra searches the importable packages for launchers
-    if _SearchPath not in Plugins.instance().discover(SearchPathPlugin):
-        Plugins.instance().register(_SearchPath)
-    # the only store is read-only, but --help would copy it for each of a hundred config groups
-    setattr(ConfigStore, "__deepcopy__", lambda store, memo: store)  # noqa: B010  (unknown to mypy)
+    Raises:
+        UserError: if an override names a key or an option that does not exist.
+    """
+    overrides = [*map(without_plus, overrides)]
+    with hydra_initialized(), unknown_keys_reported(config_name):
+        check_added_keys(config_name, overrides)
+        return hydra.compose(config_name, overrides)

@@ -4,6 +4,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from imagination.config.key_roles import OPTIONAL_GROUPS, RESULT_ROLES, role
+
 
 def sweeps(word: str) -> bool:
     """Return whether a word of a command line starts a sweep."""
@@ -21,20 +23,22 @@ def leaves(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
             yield f"{prefix}{key}", value
 
 
-WHERE_AND_HOW = (
-    *("paths", "cache", "callbacks", "trainer", "logger", "ckpt_path", "resume", "hydra"),
-    *("sweep", "sweep_dir", "hparams_search"),
-)
-"""Nodes that do not affect the training result; their overrides are not stored in checkpoints."""
+def result_overrides(overrides: Sequence[str]) -> list[str]:
+    """Return the overrides that affect the results of a run, e.g. "experiment=chair_unet" or "seed=3"."""
+
+    def affects_results(text: str) -> bool:
+        return role(override_key(text)) in RESULT_ROLES and "_target_" not in text and "${" not in text
+
+    return [text for text in overrides if affects_results(text)]
 
 
-def training_overrides(overrides: Sequence[str]) -> list[str]:
-    """Return the overrides that affect the training result, e.g. "+experiment=chair_unet" or "seed=3"."""
+def without_plus(override: str) -> str:
+    """Return `+group=option` of an optional group as `group=option`, because Hydra refuses the plus for such a group.
 
-    def affects_training(text: str) -> bool:
-        return override_group(text) not in WHERE_AND_HOW and "_target_" not in text and "${" not in text
-
-    return [text for text in overrides if affects_training(text)]
+    >>> without_plus("+experiment=chair_unet"), without_plus("+trainer.profiler=simple")
+    ('experiment=chair_unet', '+trainer.profiler=simple')
+    """
+    return override.lstrip("+") if override_key(override) in OPTIONAL_GROUPS else override
 
 
 def override_key(override: str) -> str:

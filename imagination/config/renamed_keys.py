@@ -3,49 +3,19 @@
 import re
 from collections.abc import Iterable, Mapping
 
+from imagination.config.key_roles import KEYS
 from imagination.utils.errors import UserError
 
-RENAMED_PARTS: Mapping[str, str] = {
-    "mirrored_answers": "tta_hflip",
-    "dilated_answers": "postprocess_dilation",
-    "held_out_views": "eval_views",
-    "held_out_sampler": "eval_sampler",
-    "balanced_share": "balanced_fraction",
-    "mirrored_share": "hflip_probability",
-    "truth_image": "gt_image",
-    "truth_spec": "ground_truth_spec",
-    "eval_homes": "eval_scenes",
-    "known_homes": "known_scenes",
-    "hrnet_rounds": "hrnet_epochs",
-    "hrnet_most_rounds": "hrnet_max_epochs",
-    "every_n_rounds": "every_n_epochs",
-    "min_rounds": "min_epochs",
-    "collecting_rounds": "collection_epochs",
-    "until_flat": "early_stopping",
-    "segmentation_pictures": "segmentation_images",
-}
-"""New names of parts of dotted keys, wherever they stand."""
-
-RENAMED_KEYS: Mapping[str, str] = {
-    "scale.homes": "scale.scenes",
-    "scale.rounds": "scale.epochs",
-    "kernels.truth": "kernels.ground_truth",
-    "data.sampler.share": "data.sampler.fraction",
-    "callbacks.pictures": "callbacks.unit_images",
-    "callbacks.record": "callbacks.training_stats",
-    "callbacks.seeding": "callbacks.seed_per_epoch",
-    "callbacks.progress": "callbacks.progress_bar",
-    "callbacks.early_stopping.margin": "callbacks.early_stopping.min_delta",
-    "callbacks.mapping_evaluation.homes": "callbacks.mapping_evaluation.scenes",
-    "viewer.most": "viewer.max_frames",
-}
-"""New names of keys, and of what lies below them."""
+RENAMED_KEYS: Mapping[str, str] = {old: key for key, row in KEYS.items() for old in row.old}
+"""Current names of keys and nodes by old name."""
 
 RENAMED_PATTERNS: Mapping[str, str] = {
     r"evaluation\.approaches\.(\w+)\.finish": r"evaluation.approaches.\1.postprocess",
     r"categories\.(\w+)\.members": r"categories.\1.aliases",
+    r"model\.(unit|module)\.(.*\.)?mirrored_answers": r"model.\1.\2tta_hflip",
+    r"model\.(unit|module)\.(.*\.)?dilated_answers": r"model.\1.\2postprocess_dilation",
 }
-"""New names of keys with a part that users choose."""
+"""New names of keys with a variable part."""
 
 RENAMED_VALUES: Mapping[tuple[str, str], str] = {
     ("postprocess", "keep"): "none",
@@ -73,7 +43,7 @@ REMOVED_KEYS: Mapping[tuple[str, ...], Mapping[str, str]] = {
         "max_speed": "the largest speed of a pose is a constant of imagination.recordings.pose_filters",
     },
     ("export",): {
-        "look_once": "an exported unit predicts as its checkpoint does (scale.tta_hflip in training)",
+        "look_once": "an exported unit predicts as its checkpoint does (model.tta_hflip in training)",
         "tolerance": "the tolerance of an exported unit is a constant of imagination.deployment.export",
         "max_loss": "the allowed loss of IoU is a constant of imagination.deployment.export",
     },
@@ -121,12 +91,12 @@ def renamed(key: str) -> str:
     """Return today's name of a dotted key.
 
     >>> renamed("scale.homes.train"), renamed("callbacks.until_flat.margin"), renamed("seed")
-    ('scale.scenes.train', 'callbacks.early_stopping.min_delta', 'seed')
+    ('data.splits.train', 'callbacks.early_stopping.min_delta', 'seed')
     """
-    key = ".".join(RENAMED_PARTS.get(part, part) for part in key.split("."))
-    for old, new in RENAMED_KEYS.items():
-        if key == old or key.startswith(f"{old}."):
-            key = new + key.removeprefix(old)
+    parts = key.split(".")
+    for count in range(len(parts), 0, -1):  # the longest old name that contains the key
+        if new := RENAMED_KEYS.get(".".join(parts[:count])):
+            return ".".join([new, *parts[count:]])
     for pattern, replacement in RENAMED_PATTERNS.items():
         key = re.sub(rf"^{pattern}(?=\.|$)", replacement, key)
     return key

@@ -2,11 +2,12 @@
 
 import re
 import warnings
+from functools import partial
 from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from imagination.config.key_roles import CELL_WIDTH, RANGES
+from imagination.config.key_roles import CELL_WIDTH, KEYS
 from imagination.geometry.grid import cells_of
 from imagination.utils.errors import UserError, check_choice, check_range
 from imagination.utils.precision import PRECISIONS
@@ -19,27 +20,24 @@ def validate(config: DictConfig) -> None:
         UserError: on the first invalid value, with its key and what is allowed.
     """
     check_name(config.name)
-    for key, bounds in RANGES.items():
-        if OmegaConf.select(config, key.partition(".")[0]) is not None:  # not all commands have a trainer
-            _check_number(key, OmegaConf.select(config, key), *bounds)
-    for key in ("scale.precision", "trainer.precision", "evaluation.precision"):
-        if OmegaConf.select(config, key.partition(".")[0]) is not None:
+    read = [key for key in KEYS if _is_read(config, key)]
+    for key in sorted(read, key=partial(_is_reference, config)):  # values before the references to them
+        row = KEYS[key]
+        if row.low is not None and row.high is not None:
+            _check_number(key, OmegaConf.select(config, key), row.low, row.high, row.unit)
+    for key in ("trainer.precision", "evaluation.precision"):
+        if _is_read(config, key):
             check_choice(key, OmegaConf.select(config, key), PRECISIONS)
-    if not isinstance(config.scale.tta_hflip, bool):
-        raise UserError(f"scale.tta_hflip: got {config.scale.tta_hflip!r}, expected true or false")
-    epochs = [config.scale[name] for name in ("epochs", "hrnet_epochs", "hrnet_max_epochs")]
-    if OmegaConf.select(config, "model.predicts") == "images" and epochs != sorted(epochs):
-        raise UserError(
-            f"scale.hrnet_epochs: got {epochs[1]}, expected scale.epochs, {epochs[0]}, to scale.hrnet_max_epochs, "
-            f"{epochs[2]}, so that the baseline trains at least as long as the units"
-        )
-    widths = config.scale.cell_widths
+    if not isinstance(config.model.tta_hflip, bool):
+        raise UserError(f"model.tta_hflip: got {config.model.tta_hflip!r}, expected true or false")
+    _check_baseline(config.hrnet)
+    widths = config.evaluation.cell_widths
     if not isinstance(widths, ListConfig) or not widths:
-        raise UserError(f"scale.cell_widths: got {widths!r}, expected a list of metres such as [3.0, 2.5]")
+        raise UserError(f"evaluation.cell_widths: got {widths!r}, expected a list of metres such as [3.0, 2.5]")
     for width in widths:
-        _check_number("scale.cell_widths", width, *CELL_WIDTH)
-    for extent in (config.scale.ego_extent, config.scale.world_extent):
-        cells_of(extent, config.scale.resolution)
+        _check_number("evaluation.cell_widths", width, *CELL_WIDTH)
+    for extent in (config.ego.extent, config.world.extent):
+        cells_of(extent, config.ego.resolution)
     if not config.unit_categories:
         raise UserError(
             "unit_categories: got none, expected at least one of: " + ", ".join(config.categories)
@@ -51,6 +49,26 @@ def validate(config: DictConfig) -> None:
             f"kernels.imaginable ({config.kernels.imaginable} m) is smaller than kernels.neighbourhood "
             f"({config.kernels.neighbourhood} m): W_gamma then covers label cells outside the imaginable mask",
             stacklevel=2,
+        )
+
+
+def _is_read(config: DictConfig, key: str) -> bool:
+    """Return whether the command, with the options that are selected, reads a key."""
+    parent = OmegaConf.select(config, key.rpartition(".")[0]) if "." in key else config
+    return parent is not None and key.rpartition(".")[2] in parent
+
+
+def _is_reference(config: DictConfig, key: str) -> bool:
+    parent, _, name = key.rpartition(".")
+    return OmegaConf.is_interpolation(OmegaConf.select(config, parent) if parent else config, name)
+
+
+def _check_baseline(hrnet: DictConfig) -> None:
+    """Check that the baseline, which reuses the units' views, trains at least as long as the units."""
+    if not hrnet.collection_epochs <= hrnet.epochs <= hrnet.max_epochs:
+        raise UserError(
+            f"hrnet.epochs: got {hrnet.epochs}, expected hrnet.collection_epochs, {hrnet.collection_epochs}, to "
+            f"hrnet.max_epochs, {hrnet.max_epochs}, so that the baseline trains at least as long as the units"
         )
 
 

@@ -40,6 +40,7 @@ class SceneData(LightningDataModule):
             up to twice as many.
         eval_views: number of validation and test views.
         workers: number of rendering processes; 0 renders in the main process.
+        micro_batches: number of parts of a training batch, which are computed one after the other to save memory.
         predicts: kind of prediction: egocentric "maps" or first-person "images".
 
     Raises:
@@ -59,6 +60,7 @@ class SceneData(LightningDataModule):
         batch_size: int,
         eval_views: Mapping[Split, int],
         workers: int,
+        micro_batches: int = 1,
         predicts: str = "maps",
     ) -> None:
         super().__init__()
@@ -74,6 +76,7 @@ class SceneData(LightningDataModule):
         self.batch_size = int(check_range("batch_size", batch_size, 1, 100_000, "views"))
         self.eval_views = dict(eval_views)
         self.workers = workers
+        self.micro_batches = micro_batches
         self.epochs: Iterable[Batch] | None = None
         self._pool: ScenePool | None = None
         self._surveyed: set[Split] = set()

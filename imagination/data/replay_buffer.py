@@ -42,7 +42,7 @@ class ReplayBuffer:
         if count > self.size:
             raise UserError(
                 f"buffer size: got {self.size} views, expected at least {count}, the size of one collection; "
-                "raise scale.buffer_size or lower scale.parallel_scenes"
+                "raise callbacks.replay_buffer.size or lower data.parallel_scenes"
             )
         rows = np.arange(self._inserted, self._inserted + count) % self.size
         for name, values in views.items():
@@ -70,8 +70,8 @@ class ReplayBuffer:
         if from_older > older or from_newest > newest:
             raise UserError(
                 f"batch_size: got {batch_size} ({from_older} older views and {from_newest} of the newest collection), "
-                f"expected at most the {older} and {newest} views in the buffer; lower scale.batch_size or raise "
-                "scale.prefill_steps or scale.update_interval"
+                f"expected at most the {older} and {newest} views in the buffer; lower data.batch_size or raise "
+                "callbacks.replay_buffer.prefill_steps or callbacks.replay_buffer.update_interval"
             )
         first = self._inserted - len(self)
         picks = np.concatenate(

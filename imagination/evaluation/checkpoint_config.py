@@ -73,7 +73,7 @@ def evaluation_config(checkpoints: Sequence[Checkpoint], overrides: list[str]) -
         "evaluate", [*inherited, f"unit_categories={json.dumps(categories)}", "paths.run=.", *overrides]
     )
     config.sweep_dir = None  # Hydra has it; its date is no setting of the evaluation
-    _refuse_other_networks(config, overrides)
+    _refuse_other_networks(overrides)
     validate(config)
     for group in filter(None, by_kind.values()):
         _refuse_missing(group, config)
@@ -116,13 +116,11 @@ def _refuse_missing(checkpoints: Sequence[Checkpoint], config: DictConfig) -> No
         )
 
 
-def _refuse_other_networks(config: DictConfig, overrides: Sequence[str]) -> None:
+def _refuse_other_networks(overrides: Sequence[str]) -> None:
     """Refuse overrides of the networks, which are evaluated as they were trained."""
-    definition = OmegaConf.to_yaml(config.model)  # with its references to the scale
     for text in overrides:
-        key, group = override_key(text), override_group(text)
-        if group == "model" or (group == "scale" and f"${{{key}}}" in definition):
+        if override_group(text) in ("model", "hrnet"):
             raise UserError(
-                f"{key}: got {text}, but networks are evaluated as they were trained; leave it out, or train a network "
+                f"{override_key(text)}: got {text}, but networks are evaluated as they were trained; leave it out, or train a network "
                 "with it"
             )

@@ -110,7 +110,7 @@ def check_shrink(shrink: int, height: int, width: int) -> None:
     if shrink < 1 or height % shrink or width % shrink:
         raise UserError(
             f"model.encoder.shrink: got {shrink}, expected a whole number from 1 that divides the image size, "
-            f"{height} x {width} pixels; change scale.encoder_shrink"
+            f"{height} x {width} pixels; change model.encoder_shrink"
         )
 
 

@@ -29,7 +29,7 @@ class HeightBands(nn.Module):
         super().__init__()
         self.jitter = check_range("model.unit.height_jitter", jitter, 0.0, 0.5)
         if list(heights) != sorted(set(heights)):
-            raise UserError(f"scale.heights: got {list(heights)}, expected ascending heights in metres")
+            raise UserError(f"model.heights: got {list(heights)}, expected ascending heights in metres")
         self.heights = list(heights)
         self.count = max(len(heights) - 1, 0)
         self.ego = ego

@@ -18,7 +18,7 @@ class ImaginationUnit(Unit):
     """Unit whose backbone processes the egocentric depth projection and merges the image features of an encoder.
 
     The paper's projection consists of `occupied` and `seen`. Ours adds one layer per band of heights, because occupancy
-    alone does not distinguish a chair from a washbasin. Without bands (`scale.heights=[]`, as at `scale=paper`) the
+    alone does not distinguish a chair from a washbasin. Without bands (`model.heights=[]`, as at `scale=paper`) the
     projection is the paper's.
 
     Args:

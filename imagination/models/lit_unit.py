@@ -21,7 +21,7 @@ from imagination.utils.process_group import sum_over_ranks
 Batch = Mapping[str, Tensor]
 """rgb uint8 (B, 3, H, W); depth float16 (B, 1, H, W), metres; occupied and seen uint8 (B, 1, V, V); label and
 neighbourhood (M*_seen of the ground truth) uint8 (B, C, V, V); counts int64 (3, C) in a micro-batch, see
-`batch_counts`. Further entries are ignored."""
+`batch_counts`, and micro_batches int64 (), their number. Further entries are ignored."""
 
 
 class LitUnit(LightningModule):
@@ -39,8 +39,8 @@ class LitUnit(LightningModule):
         compile: whether to train with torch.compile, which needs a C++ compiler and some minutes.
 
     Raises:
-        UserError: if the threshold is out of range, or at the start of training, if gradients are to be accumulated
-            with a loss that cannot be computed in parts.
+        UserError: if the threshold is out of range, or at the start of training, if batches are split into
+            micro-batches with a loss that needs the whole batch.
     """
 
     chosen: Tensor
@@ -91,18 +91,19 @@ class LitUnit(LightningModule):
     def setup(self, stage: str) -> None:
         if stage != "fit":
             return
-        if (count := self.trainer.accumulate_grad_batches) > 1 and not self.loss.in_parts:
+        data = getattr(self.trainer, "datamodule", None)
+        if (count := getattr(data, "micro_batches", 1)) > 1 and not self.loss.in_parts:
             raise UserError(
-                f"scale.accumulate: got {count}, expected 1 for the loss {type(self.loss).__name__}, which needs the "
-                "whole batch; set scale.accumulate=1 or model/loss=weighted_bce"
+                f"data.micro_batches: got {count}, expected 1 for the loss {type(self.loss).__name__}, which needs the "
+                "whole batch; set data.micro_batches=1 or model/loss=weighted_bce"
             )
         if self.compiled:
             self.unit.compile()
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         loss, parts = self.loss(self(batch), batch["label"], batch["neighbourhood"], batch.get("counts"))
-        # Lightning averages over the parts of an accumulated batch, but their losses add up
-        loss = loss * self.trainer.accumulate_grad_batches
+        # Lightning averages over micro-batches as over accumulated batches, but their losses add up
+        loss = loss * batch.get("micro_batches", 1)
         values = {
             "loss": loss,
             **parts,

@@ -105,7 +105,7 @@ def window_cells(size: float, ego: EgoGrid) -> int:
     >>> [window_cells(size, EgoGrid(resolution=0.06, cells=87)) for size in (0.0, 0.12, 0.18, 0.24)]
     [1, 3, 3, 5]
     """
-    check_range("scale.postprocess_dilation", size, 0.0, 2.0, "m")
+    check_range("model.postprocess_dilation", size, 0.0, 2.0, "m")
     return 2 * (kernel_cells(size, ego.resolution) // 2) + 1
 
 

@@ -87,7 +87,7 @@ class Results:
     @property
     def resolution(self) -> float:
         """Metres per cell."""
-        return float(at(self.config, "scale.resolution") or "nan")
+        return float(at(self.config, "ego.resolution") or "nan")
 
     @property
     def resamples(self) -> int:

@@ -12,15 +12,12 @@ from typing import Any, NamedTuple
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
+from imagination.config.key_roles import RESULT_ROLES, role
 from imagination.config.overrides import leaves
 from imagination.reporting.load_run import Results
 from imagination.runs import sweep_jobs
 from imagination.utils.errors import UserError
 from imagination.utils.tabular import read_csv, read_yaml
-
-EXECUTION_NODES = ("paths", "choices", "callbacks", "logger", "sweep_dir")
-"""Nodes of a config on the execution of a job; they differ between jobs or depend on other nodes."""
-
 
 MAX_JOBS = 100_000
 """Maximum number of jobs that the files of a sweep may define."""
@@ -211,9 +208,9 @@ def _independent(swept: Mapping[str, dict[str, str]]) -> dict[str, dict[str, str
 
 
 def _values(config: Mapping[str, Any]) -> dict[str, str]:
-    """Return a job's config as text by key, without the nodes on its execution."""
-    settings = {node: value for node, value in config.items() if node not in EXECUTION_NODES}
+    """Return the values of a job's config that determine its results as text by key."""
     return {
         key: value if isinstance(value, str) else json.dumps(value, default=str)
-        for key, value in leaves(settings)
+        for key, value in leaves(config)
+        if role(key) in RESULT_ROLES
     }

@@ -8,7 +8,7 @@ from imagination.utils.errors import UserError, check_range
 from imagination.utils.tabular import read_yaml
 
 KINDS: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("scale", "data", "data.scenes", "model"), (dict,)),
+    **dict.fromkeys(("ego", "data", "data.scenes", "model"), (dict,)),
     **dict.fromkeys(("evaluation", "evaluation.approaches"), (dict,)),
     **dict.fromkeys(("evaluation.cell_widths", "unit_categories", "choices"), (list,)),
     "ckpt": (str, list),
@@ -16,7 +16,7 @@ KINDS: dict[str, tuple[type, ...]] = {
 """Types of the nodes that a report reads; each node is optional."""
 
 RANGES: dict[str, tuple[float, float]] = {
-    "scale.resolution": (0.005, 1.0),
+    "ego.resolution": (0.005, 1.0),
     "evaluation.seed": (0, 2**63),
     "evaluation.resamples": (1, 10**9),
     "evaluation.viewpoint_sets": (0, 10_000),

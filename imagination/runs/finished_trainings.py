@@ -7,46 +7,34 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.compose import compose
-from imagination.config.overrides import override_group, override_key, training_overrides
+from imagination.config.key_roles import Role, role
+from imagination.config.overrides import override_group, override_key, result_overrides
 from imagination.runs.command import run_command
 from imagination.runs.folder import BEST, COMPOSED, LAST
 from imagination.runs.resume import PROGRAM
-from imagination.runs.sweep_jobs import EVALUATION_ONLY, config_key
+from imagination.runs.sweep_jobs import config_key
 from imagination.utils.cache import code_version
 
 log = logging.getLogger(__name__)
 
-EVALUATION_KEYS = (*EVALUATION_ONLY, "ade20k")
-"""Keys that only the evaluation reads; overrides of them never cause a new training."""
-
-NOT_TRAINING = (*EVALUATION_ONLY, "choices", "ckpt_path", "resume")
-"""Nodes of a run's config that do not affect the result of its training."""
-
-SEGMENTATION = tuple(
-    f"scale.hrnet{suffix}"
-    for suffix in ("", "_accumulate", "_epochs", "_max_epochs", "_final_learning_rate", "_eval_every")
-)
-"""Keys that only the training of first-person segmentation reads."""
-
-
 def is_evaluation_only(override: str) -> bool:
     """Return whether only the evaluation reads the key of an override."""
-    key = override_key(override)
-    return any(key == node or key.startswith((f"{node}.", f"{node}/")) for node in EVALUATION_KEYS)
+    return role(override_key(override)) == Role.EVALUATION
 
 
 def training_config(experiment: str, overrides: Sequence[str]) -> DictConfig:
     """Return the config of an experiment's run, as `imagination.train` composes it."""
-    overrides = [f"+experiment={experiment}", *overrides]
+    overrides = [f"experiment={experiment}", *overrides]
     config = compose("train", [*overrides, "paths.run=."])
-    config.choices, config.program = training_overrides(overrides), code_version(PROGRAM)
+    config.choices, config.program = result_overrides(overrides), code_version(PROGRAM)
     return config
 
 
 def training_key(config: DictConfig) -> str:
-    """Return the hash of everything that determines the result of a training: config and program."""
-    ignored = (*NOT_TRAINING, *(SEGMENTATION if config.model.predicts == "maps" else ()))
-    return f"{config_key(config, ignored)} {config.get('program')}"
+    """Return the hash of what determines the result of a training: keys of the role `TRAINING` and the program."""
+    if config.model.predicts == "maps":  # units do not read the node of segmentation_hrnet
+        config = OmegaConf.masked_copy(config, [key for key in config if key != "hrnet"])
+    return f"{config_key(config, set(Role) - {Role.TRAINING})} {config.get('program')}"
 
 
 def newest_run(outputs: Path, config: DictConfig, finished: bool) -> Path | None:
@@ -78,7 +66,7 @@ def train_or_reuse(experiment: str, overrides: Sequence[str], outputs: Path) -> 
         paths = [text for text in overrides if override_group(text) == "paths"]
         run_command("train", [f"ckpt_path={folder / LAST}", *paths])
     else:
-        run_command("train", [f"+experiment={experiment}", *overrides])
+        run_command("train", [f"experiment={experiment}", *overrides])
         folder = newest_run(outputs, config, finished=True)
     assert folder is not None, "a successful training has written its tables"
     return folder / (BEST if (folder / BEST).is_file() else LAST)

@@ -10,7 +10,6 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from imagination.config.key_roles import MICRO_BATCH_KEYS
 from imagination.utils.errors import UserError
 from imagination.utils.precision import resolved
 from imagination.utils.process_group import started_by_torchrun
@@ -28,13 +27,13 @@ def out_of_memory_reported(config: DictConfig) -> Iterator[None]:
     try:
         yield
     except torch.OutOfMemoryError as error:
-        parts = config.trainer.accumulate_grad_batches
-        views = config.scale.batch_size // (config.trainer.devices * config.trainer.num_nodes)
+        parts = config.data.micro_batches
+        views = config.data.batch_size // (config.trainer.devices * config.trainer.num_nodes)
         advice = ["a GPU without other processes"]
         if resolved(config.trainer.precision) == "32-true":
-            advice.insert(0, "scale.precision=bf16-mixed, which needs less memory")
+            advice.insert(0, "trainer.precision=bf16-mixed, which needs less memory")
         if parts < views:
-            override = f"{MICRO_BATCH_KEYS[config.model.predicts]}={min(2 * parts, views)}"
+            override = f"data.micro_batches={min(2 * parts, views)}"
             advice.insert(0, f"{override}, which splits the batch (and its normalisation) into more parts")
         raise UserError(
             f"GPU memory: training with {views} views per GPU in {parts} part(s) does not fit; start a new run with "
@@ -70,18 +69,17 @@ def check_processes(config: DictConfig) -> None:
             f"trainer.devices: got {count} processes in a sweep, expected 1; set trainer.devices=1, or start each job "
             "of the sweep as a run"
         )
-    sizes = {name: config.scale[name] for name in ("parallel_scenes", "batch_size", "buffer_size")}
-    for name, size in sizes.items():
-        if size % count:
+    for key in ("data.parallel_scenes", "data.batch_size", "callbacks.replay_buffer.size"):
+        if (size := OmegaConf.select(config, key)) % count:
             raise UserError(
-                f"scale.{name}: got {size} for {count} processes, expected a multiple of {count}; change scale.{name} "
-                "or trainer.devices"
+                f"{key}: got {size} for {count} processes, expected a multiple of {count}; change {key} or "
+                "trainer.devices"
             )
-    for name in ("scenes.train", "eval_views.val", "eval_views.test"):
-        if (size := OmegaConf.select(config.scale, name)) < count:
+    for key in ("data.splits.train", "data.eval_views.val", "data.eval_views.test"):
+        if (size := OmegaConf.select(config, key)) < count:
             raise UserError(
-                f"scale.{name}: got {size} for {count} processes, expected at least {count}; raise scale.{name} or "
-                "lower trainer.devices"
+                f"{key}: got {size} for {count} processes, expected at least {count}; raise {key} or lower "
+                "trainer.devices"
             )
 
 

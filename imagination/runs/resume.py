@@ -13,7 +13,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from imagination.config.overrides import override_key, training_overrides
+from imagination.config.key_roles import KEYS, Role, is_resumable, role
+from imagination.config.overrides import leaves, override_key, result_overrides
 from imagination.config.trust import check_targets
 from imagination.config.user_messages import explain
 from imagination.config.validation import validate
@@ -38,13 +39,6 @@ from imagination.utils.process_group import global_rank
 from imagination.utils.progress import console
 
 log = logging.getLogger(__name__)
-
-MAY_CHANGE = (
-    *("trainer.max_epochs", "trainer.accelerator", "trainer.devices", "trainer.num_nodes", "paths."),
-    "scale.workers",  # results do not depend on the number of workers
-    "data.shards",  # the folder may have been moved; reading it checks that the dataset is of the same kind
-)
-"""Prefixes of the overrides that may change when a run resumes; other overrides must equal those of the run."""
 
 PROGRAM = (
     *("callbacks", "data", "geometry", "ground_truth", "models", "scenes", "views"),
@@ -137,7 +131,7 @@ def join_run(config: DictConfig) -> Run:
     if config.resume or config.ckpt_path:
         return resume_run(folder, config)
     config.paths.run = str(folder)
-    config.choices = training_overrides(HydraConfig.get().overrides.task)
+    config.choices = result_overrides(HydraConfig.get().overrides.task)
     return Run(folder, config, None)
 
 
@@ -174,7 +168,7 @@ def new_run_folder(config: DictConfig) -> Path:
 def begin_run(folder: Path, config: DictConfig) -> Run:
     """Write the config of a new run into its folder and return the run."""
     config.paths.run = str(folder)
-    config.choices = training_overrides(HydraConfig.get().overrides.task)
+    config.choices = result_overrides(HydraConfig.get().overrides.task)
     config.program = code_version(PROGRAM)
     write_text(folder / COMPOSED, OmegaConf.to_yaml(config) + END)
     write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
@@ -202,7 +196,7 @@ def existing_run_folder(config: DictConfig) -> Path:
         raise UserError(
             f"resume: got {config.resume!r}, expected latest; set ckpt_path=… to resume from a checkpoint"
         )
-    experiment = config.name if "experiment" in HydraConfig.get().runtime.choices else None
+    experiment = config.name if HydraConfig.get().runtime.choices.get("experiment") else None
     return find_latest(Path(config.paths.outputs), experiment)
 
 
@@ -210,21 +204,21 @@ def check_changes(folder: Path, config: DictConfig) -> None:
     """Check that the overrides do not change the config of the run in `folder`; equal overrides are allowed.
 
     Raises:
-        UserError: if an override changes a value that is not in `MAY_CHANGE`.
+        UserError: if an override changes a value that may not change.
     """
     saved = read_composed_config(folder / COMPOSED)
-    allowed = ("resume=", "ckpt_path=", "experiment=", *MAY_CHANGE)
 
     def changes(text: str) -> bool:
-        if text.lstrip("+").startswith(allowed) or text in saved.choices:
-            return False
         key = override_key(text)
+        if key == "experiment" or is_resumable(key) or text in saved.choices:
+            return False
         return "/" in key or "@" in key or OmegaConf.select(config, key) != OmegaConf.select(saved, key)
 
     if refused := [text for text in HydraConfig.get().overrides.task if changes(text)]:
+        allowed = ", ".join(key for key, row in KEYS.items() if row.resumable)
         raise UserError(
-            f"resume: got {' '.join(refused)}, but a resumed run keeps its config; only {', '.join(MAY_CHANGE)} may "
-            "change; remove the override, or start a new run"
+            f"resume: got {' '.join(refused)}, but a resumed run keeps its config; only {allowed} may change; remove "
+            "the override, or start a new run"
         )
 
 
@@ -235,14 +229,15 @@ def resume_run(folder: Path, config: DictConfig) -> Run:
         UserError: if the run belongs to another experiment, or its config cannot be read.
     """
     saved = read_composed_config(folder / COMPOSED)
-    if "experiment" in HydraConfig.get().runtime.choices and config.name != saved.name:
+    if HydraConfig.get().runtime.choices.get("experiment") and config.name != saved.name:
         raise UserError(
             f"resume: got the experiment {config.name!r}, expected {saved.name!r} for the run in {folder}"
         )
     overrides = HydraConfig.get().overrides.task
-    changes = [text.lstrip("+") for text in overrides if text.lstrip("+").startswith(MAY_CHANGE)]
-    for key in (text.partition("=")[0] for text in changes):
-        OmegaConf.update(saved, key, OmegaConf.select(config, key))
+    for key in filter(is_resumable, map(override_key, overrides)):
+        if role(key) != Role.COMMAND:
+            keep_references(saved, key)
+            OmegaConf.update(saved, key, OmegaConf.select(config, key))
     saved.paths.run = str(folder)
     if OmegaConf.select(saved, "program") != code_version(PROGRAM):
         log.warning("%s: the program has changed since the start of this run", folder)
@@ -251,6 +246,18 @@ def resume_run(folder: Path, config: DictConfig) -> Run:
         log.warning("%s: no epoch was completed, so the run starts from the beginning", folder)
         return Run(folder, saved, None, folder.name)
     return Run(folder, saved, checkpoint, folder.name)
+
+
+def keep_references(config: DictConfig, key: str) -> None:
+    """Replace the references to a key by its value, so that a change of the key does not change them.
+
+    For example, the learning-rate schedule refers to trainer.max_epochs, but keeps its length when the training is
+    extended.
+    """
+    value = OmegaConf.select(config, key)
+    for other, reference in leaves(OmegaConf.to_container(config)):
+        if reference == f"${{{key}}}":
+            OmegaConf.update(config, other, value)
 
 
 def read_composed_config(path: Path) -> DictConfig:

@@ -22,7 +22,7 @@ REGIONS = {"all": "", "seen": "_seen", "unseen": "_unseen"}
 """Suffix of the score names for each set of cells of the egocentric map."""
 
 HYPERPARAMETERS = (
-    *("name", "seed", "unit_categories", "scale", "kernels", "aggregation_factor", "model", "mapping"),
+    *("name", "seed", "unit_categories", "data", "kernels", "aggregation_factor", "model", "mapping"),
 )
 """Config nodes that TensorBoard shows as hyperparameters."""
 
@@ -85,7 +85,7 @@ def summary(run: Run, checkpoint: Path | None) -> str:
     parts = ", ".join(
         f"{name} {value:.0f} s ({value / seconds['total']:.0%})" for name, value in seconds.items()
     )
-    lines = [f"Time: {parts}", f"Peak memory: at most {peak_memory(run.config.scale.workers):.1f} GB"]
+    lines = [f"Time: {parts}", f"Peak memory: at most {peak_memory(run.config.data.workers):.1f} GB"]
     lines.append(f"Results: {run.folder}/ (tables/, figures/, maps/, checkpoints/, tensorboard/)")
     checkpoint = checkpoint or run.folder / LAST
     if checkpoint.is_file():

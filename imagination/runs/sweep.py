@@ -19,6 +19,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from imagination.config.compose import compose
+from imagination.config.key_roles import Role
 from imagination.config.overrides import override_key
 from imagination.config.plugin_registry import activate
 from imagination.config.user_messages import explain, user_errors_reported
@@ -30,7 +31,7 @@ from imagination.utils.errors import UserError
 from imagination.utils.timing import stage_timer
 
 SWEEP_KEYS = ("sweep", "hparams_search", "sweep_dir")
-"""Keys of overrides that configure the sweep, not its jobs."""
+"""Keys of overrides that select the jobs of a sweep and are no overrides of a job."""
 
 
 class Sweep(Callback):
@@ -78,7 +79,8 @@ def register_jobs(hydra: DictConfig, config_name: str) -> None:
         config_name: name of the command.
 
     Raises:
-        UserError: if two jobs would train the same unit and differ only in the evaluation.
+        UserError: if a value of a job is out of range, or two jobs would train the same unit and differ only in the
+            evaluation.
     """
     arguments = [
         *(f"{key}={value}" for key, value in (hydra.sweeper.params or {}).items()),
@@ -89,8 +91,9 @@ def register_jobs(hydra: DictConfig, config_name: str) -> None:
     jobs = []
     for job_arguments in BasicSweeper.split_arguments(parsed, None)[0]:
         config, overrides = compose(config_name, list(job_arguments)), job_overrides(job_arguments)
+        validate(config)
         key = sweep_jobs.config_key(config)
-        training = sweep_jobs.config_key(config, sweep_jobs.EVALUATION_ONLY)
+        training = sweep_jobs.config_key(config, {Role.EVALUATION})
         first_key = key_by_training.setdefault(training, key)
         if config_name == "train" and first_key != key:
             raise UserError(

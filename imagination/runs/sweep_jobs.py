@@ -15,7 +15,7 @@ import hashlib
 import json
 import shlex
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from imagination.config.key_roles import Role, role
 from imagination.runs.locking import BusyError, locked
 from imagination.utils.atomic_io import PART, write_text
 from imagination.utils.errors import UserError
@@ -31,18 +32,6 @@ from imagination.utils.tabular import csv_text, read_csv
 
 FILE = "jobs.csv"
 """File name of the table."""
-
-EVALUATION_ONLY = (
-    "evaluation",
-    "mapping",
-    "callbacks.mapping_evaluation",
-    "callbacks.unit_images",
-    "scale.cell_widths",
-    "scale.viewpoint_sets",
-    "scale.orientations",
-    "scale.eval_scenes",
-)
-"""Config nodes that only the evaluation reads."""
 
 
 class Job(NamedTuple):
@@ -95,32 +84,34 @@ def lock_name(job: Job) -> str:
     return f".{job.folder}.lock"
 
 
-def config_key(config: DictConfig, ignored: Sequence[str] = ()) -> str:
+def config_key(config: DictConfig, ignored: Collection[Role] = ()) -> str:
     """Return the hash of a resolved config without its folders, its cache and the version of the program.
 
     Args:
         config: composed config.
-        ignored: further nodes to leave out, such as "mapping" or "scale.cell_widths".
+        ignored: roles of further keys to leave out.
     """
     values: Any = OmegaConf.to_container(config)
-    values["paths"] |= {"outputs": "", "cache": "", "run": ""}
-    values["sweep_dir"] = values["cache"] = values["program"] = ""
+    values["paths"] |= {"outputs": "", "cache": "", "run": ""}  # other nodes refer to them
+    values["sweep_dir"] = values["program"] = ""
     if "ckpt" in values:  # `latest` may point to another run later
         paths = [values["ckpt"]] if isinstance(values["ckpt"], str) else values["ckpt"]
         values["ckpt"] = [str(Path(path).resolve()) for path in paths]
     with suppress(OmegaConfBaseException):  # reported when the job starts
         values = OmegaConf.to_container(OmegaConf.create(values), resolve=True)
-    for name in ignored:
-        _remove(values, name.split("."))
-    text = json.dumps(values, sort_keys=True, default=str)
+    text = json.dumps(_without(values, {Role.LOCATION, *ignored}), sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _remove(node: Any, path: Sequence[str]) -> None:
-    *parents, leaf = path
-    for name in parents:
-        node = node.get(name, {})
-    node.pop(leaf, None)
+def _without(node: Mapping[str, Any], roles: Collection[Role], prefix: str = "") -> dict[str, Any]:
+    """Return a tree without the values whose keys have one of the roles."""
+    kept = {}
+    for name, value in node.items():
+        if isinstance(value, dict):
+            kept[name] = _without(value, roles, f"{prefix}{name}.")
+        elif role(f"{prefix}{name}") not in roles:
+            kept[name] = value
+    return kept
 
 
 def _is_locked(sweep: Path, job: Job) -> bool:

@@ -80,7 +80,7 @@ class Collector:
         check_range("parallel_scenes", self.parallel_scenes, 1, 4096)
         check_range("update_interval", self.steps, 1, 10_000, "collection steps")
         if not self.scenes:
-            raise UserError("collector: got 0 training scenes, expected at least 1; raise scale.scenes.train")
+            raise UserError("collector: got 0 training scenes, expected at least 1; raise data.splits.train")
 
     @property
     def views_per_collection(self) -> int:

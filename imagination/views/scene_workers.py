@@ -16,7 +16,7 @@ import cv2
 from imagination.utils.errors import WorkerDiedError, check_range
 from imagination.views.observer import Observer
 
-WORKER_DIED = "workers: a worker process died, possibly out of memory; reduce scale.workers"
+WORKER_DIED = "workers: a worker process died, possibly out of memory; reduce data.workers"
 """Message of the `WorkerDiedError`."""
 
 P = ParamSpec("P")

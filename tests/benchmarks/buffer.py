@@ -24,7 +24,7 @@ def views_of_a_scene(folder: str, count: int = COLLECTION) -> Views:
 def run(folder: str) -> list[Figure]:
     """Return all figures."""
     run_config = config(folder)
-    size, resolution = run_config.scale.buffer_size, run_config.scale.resolution
+    size, resolution = run_config.callbacks.replay_buffer.size, run_config.ego.resolution
     views = views_of_a_scene(folder)
     buffer = ReplayBuffer(size, run_config.aggregation_factor)
     for _ in range(-(-size // COLLECTION)):

@@ -46,7 +46,7 @@ def run(folder: str) -> list[Figure]:
 
 def set_up(folder: str) -> tuple[ModelUnderTest, MappingProtocol]:
     """Return the untrained default unit and a protocol with one set of viewpoints."""
-    run_config = config(folder, "scale.workers=0")
+    run_config = config(folder, "data.workers=0")
     data = instantiate(run_config.data.module)
     module = instantiate(run_config.model.module).eval()
     protocol: MappingProtocol = replace(instantiate(run_config.evaluation), viewpoint_sets=1)

@@ -25,7 +25,7 @@ EXPERIMENTS = {
 }
 KINDS = {"32-true": torch.float32, "bf16-mixed": torch.bfloat16}
 PARTS = (1, 2, 4, 6, 12)
-"""Numbers of parts of a batch (`scale.accumulate`); the smallest that fits into the memory of the GPU is used."""
+"""Numbers of parts of a batch (`data.micro_batches`); the smallest that fits into the memory of the GPU is used."""
 
 SIDE = 8192
 """Side of the multiplied matrices."""
@@ -125,10 +125,10 @@ def training_step(
     if run_config.model.module.get("compile"):
         module.unit.compile()
     optimizer = module.optimizer(module.parameters())
-    cells = cells_of(run_config.scale.ego_extent, run_config.scale.resolution)
+    cells = cells_of(run_config.ego.extent, run_config.ego.resolution)
     batch = random_batch(
-        run_config.scale.batch_size // parts,
-        run_config.scale.image,
+        run_config.data.batch_size // parts,
+        run_config.camera.width,
         cells,
         len(run_config.unit_categories),
         device,
@@ -144,7 +144,7 @@ def training_step(
         if device == "cuda":
             torch.cuda.synchronize()
 
-    return step, run_config.scale.batch_size // parts * parts
+    return step, run_config.data.batch_size // parts * parts
 
 
 def loss_of(module: LightningModule, batch: dict[str, Tensor]) -> Tensor:

@@ -84,7 +84,7 @@ def test_figures_of_another_machine_are_kept_if_none_is_measured(tmp_path: Path)
 @pytest.mark.parametrize("kind", gpu.KINDS)
 def test_the_steps_of_the_gpu_section_train(tmp_path: Path, experiment: str, kind: str) -> None:
     step, size = gpu.training_step(
-        str(tmp_path), experiment, kind, 2, "scale=test", "scale.batch_size=4", device="cpu"
+        str(tmp_path), experiment, kind, 2, "scale=test", "data.batch_size=4", device="cpu"
     )
     module = inspect.getclosurevars(step).nonlocals["module"]
     before = [weights.detach().clone() for weights in module.parameters()]

@@ -112,11 +112,11 @@ def epochs(
     """
     experiment, overrides = choice
     sizes = (
-        f"scale.epochs={count}",
-        "scale.scenes={train:16,val:2,test:2}",
-        "scale.prefill_steps=20",
-        "scale.eval_views={val:16,test:16}",
-        "scale.eval_every=1000",
+        f"trainer.max_epochs={count}",
+        "data.splits={train:16,val:2,test:2}",
+        "callbacks.replay_buffer.prefill_steps=20",
+        "data.eval_views={val:16,test:16}",
+        "trainer.check_val_every_n_epoch=1000",
     )
     # a different seed for each unit, since equal poses would be read from the cache
     seed = f"seed={list(UNITS).index(name)}"
@@ -130,7 +130,7 @@ def epochs(
         trainer.fit(model, datamodule=data)
     finally:
         data.close()
-    samples = run_config.scale.update_batches * run_config.scale.batch_size
+    samples = run_config.callbacks.replay_buffer.update_batches * run_config.data.batch_size
     what = f"training, {name}, {resolved('auto')}"
     return [
         Figure(
@@ -140,7 +140,7 @@ def epochs(
             speed,
             "its step alone",
             rival=True,
-            note=f"{count - 2} epochs of {samples} samples after a warm-up epoch; {run_config.scale.workers} processes "
+            note=f"{count - 2} epochs of {samples} samples after a warm-up epoch; {run_config.data.workers} processes "
             "render meanwhile; the step alone was measured before",
         ),
         Figure(
@@ -158,7 +158,7 @@ def batches(folder: str, layers: int, collections: int = 25) -> Callable[[], Bat
     """Return a function that draws a batch at small scale, with the first `layers` categories of the table."""
     run_config = config(folder)
     kernels = [
-        kernel_cells(run_config.kernels[name], run_config.scale.resolution)
+        kernel_cells(run_config.kernels[name], run_config.ego.resolution)
         for name in ("imaginable", "neighbourhood")
     ]
     buffer = ReplayBuffer(2000, run_config.aggregation_factor)
@@ -168,8 +168,8 @@ def batches(folder: str, layers: int, collections: int = 25) -> Callable[[], Bat
     rng = np.random.default_rng(SEED)
 
     def draw() -> Batch:
-        views = buffer.draw(run_config.scale.batch_size, rng)
-        flipped = rng.random(run_config.scale.batch_size) < run_config.scale.hflip_probability
+        views = buffer.draw(run_config.data.batch_size, rng)
+        flipped = rng.random(run_config.data.batch_size) < run_config.data.hflip_probability
         return assemble(mirrored(views, flipped), list(range(layers)), *kernels)
 
     return draw

@@ -50,7 +50,7 @@ def test_training_lasts_at_least_as_long_as_its_schedule() -> None:
 
 
 def test_ending_before_the_schedule_is_logged(caplog: pytest.LogCaptureFixture) -> None:
-    """This happens with trainer.max_epochs below scale.hrnet_epochs, flat or not."""
+    """This happens with trainer.max_epochs below hrnet.epochs, flat or not."""
     stopping, fake = callback(min_epochs=8), FakeTrainer()
     play(stopping, fake, [0.1] * 7)  # trainer.max_epochs
     stopping.on_train_end(fake, MODULE)

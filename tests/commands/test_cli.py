@@ -112,7 +112,7 @@ def test_a_missing_accelerator_is_refused(command: Command) -> None:
 @pytest.mark.slow
 def test_a_killed_worker_is_reported_and_the_run_resumes(command: Command, tmp_path: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "imagination.train", "scale=test", "scale.workers=2", "scale.epochs=500"],
+        [sys.executable, "-m", "imagination.train", "scale=test", "data.workers=2", "trainer.max_epochs=500"],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         stderr=subprocess.PIPE,
@@ -129,10 +129,10 @@ def test_a_killed_worker_is_reported_and_the_run_resumes(command: Command, tmp_p
     finally:
         process.kill()
     assert process.returncode == 2 and "Traceback" not in stderr, stderr
-    assert "scale.workers" in stderr and "ckpt_path=outputs/custom/" in stderr, stderr
+    assert "data.workers" in stderr and "ckpt_path=outputs/custom/" in stderr, stderr
     last = only(tmp_path, "outputs/custom/2*/checkpoints/last.ckpt")
     epochs = torch.load(last, weights_only=True)["epoch"] + 3
-    done = command("train", f"ckpt_path={last}", "scale.workers=0", f"trainer.max_epochs={epochs}")
+    done = command("train", f"ckpt_path={last}", "data.workers=0", f"trainer.max_epochs={epochs}")
     assert done.returncode == 0, done.stderr
 
 
@@ -140,12 +140,12 @@ def test_a_killed_worker_is_reported_and_the_run_resumes(command: Command, tmp_p
     ("overrides", "advice"),
     [
         (
-            ["scale.accumulate=2", "scale.precision=32-true"],
-            "scale.accumulate=4, .* scale.precision=bf16-mixed",
+            ["data.micro_batches=2", "trainer.precision=32-true"],
+            "data.micro_batches=4, .* trainer.precision=bf16-mixed",
         ),
-        (["+experiment=segmentation_hrnet", "scale.hrnet_accumulate=6"], "scale.hrnet_accumulate=12, "),
-        (["scale.accumulate=80", "trainer.precision=bf16-mixed"], "scale.accumulate=108, .* a GPU"),
-        (["scale.accumulate=108", "trainer.precision=bf16-mixed"], "a new run with a GPU"),
+        (["+experiment=segmentation_hrnet", "hrnet.micro_batches=6"], "hrnet.micro_batches=12, "),
+        (["data.micro_batches=80", "trainer.precision=bf16-mixed"], "data.micro_batches=108, .* a GPU"),
+        (["data.micro_batches=108", "trainer.precision=bf16-mixed"], "a new run with a GPU"),
     ],
 )
 def test_advice_for_a_gpu_that_is_too_small(overrides: list[str], advice: str) -> None:
@@ -167,7 +167,7 @@ def only(folder: Path, pattern: str) -> Path:
 @pytest.mark.parametrize("name", ["train", "render"])
 def test_ctrl_c_while_scenes_are_built(tmp_path: Path, name: str) -> None:
     """SIGINT to the process group, as from a terminal: one message within seconds."""
-    arguments = ["scale.scenes.train=40", "scale.gt_image=512", "scale.resolution=0.03", "scale.workers=2"]
+    arguments = ["data.splits.train=40", "ground_truth.camera.width=512", "ego.resolution=0.03", "data.workers=2"]
     process = subprocess.Popen(
         [sys.executable, "-m", f"imagination.{name}", "scale=test", *arguments],
         cwd=tmp_path,
@@ -195,7 +195,7 @@ def test_ctrl_c_while_scenes_are_built(tmp_path: Path, name: str) -> None:
 
 
 def test_ctrl_c_reports_how_to_resume(tmp_path: Path) -> None:
-    arguments = ["+experiment=chair_unet", "scale=test", "scale.epochs=10000", "scale.eval_every=10000"]
+    arguments = ["+experiment=chair_unet", "scale=test", "trainer.max_epochs=10000", "trainer.check_val_every_n_epoch=10000"]
     with open(tmp_path / "stderr", "w") as stderr:
         process = subprocess.Popen(
             [sys.executable, "-m", "imagination.train", *arguments],
@@ -252,7 +252,7 @@ def test_the_study_reuses_finished_runs(command: Command, tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_first_steps_at_paper_scale_on_a_cpu(command: Command, tmp_path: Path) -> None:
     """All values of the paper but the batch size and the number of scenes; one viewpoint set."""
-    fewer = ["scale.scenes={train:1,val:1,test:1}", "scale.batch_size=2", "evaluation.viewpoint_sets=1"]
+    fewer = ["data.splits={train:1,val:1,test:1}", "data.batch_size=2", "evaluation.viewpoint_sets=1"]
     steps = ["+experiment=chair_unet", "scale=paper", *fewer, "trainer.fast_dev_run=2"]
     done = command("train", *steps, timeout=3000)
     assert done.returncode == 0, done.stderr

@@ -39,7 +39,7 @@ def test_arrays_and_images_of_every_stage_are_written(command: Command, tmp_path
     [
         (["scene=attic"], "scene: got 'attic'"),
         (["split=exam"], "split: got 'exam'"),
-        (["scale.world_extent=4"], "ground_truth.extent"),
+        (["world.extent=4"], "ground_truth.extent"),
         (["poses=0"], "poses: got 0"),
     ],
 )

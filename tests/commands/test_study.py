@@ -120,13 +120,13 @@ def test_an_unfinished_run_is_resumed(tmp_path: Path, called: list[str]) -> None
 
 def test_evaluation_settings_retrain_nothing() -> None:
     for override in (
-        "scale.cell_widths=[4.0]",
+        "evaluation.cell_widths=[4.0]",
         "mapping/registration=mean",
         "evaluation.only=[seg_gt]",
         "ade20k=a",
     ):
         assert is_evaluation_only(override), override
-    for override in ("scale=test", "kernels.imaginable=1.2", "model/loss=bce_dice", "scale.epochs=3"):
+    for override in ("scale=test", "kernels.imaginable=1.2", "model/loss=bce_dice", "trainer.max_epochs=3"):
         assert not is_evaluation_only(override), override
 
 
@@ -164,7 +164,7 @@ def test_sweeps_are_refused(command: Command, word: str) -> None:
 def test_settings_of_the_segmentation_network_retrain_no_unit() -> None:
     scale = training_config("segmentation_hrnet", OVERRIDES).scale
     hrnet = [f"scale.{key}={2 * scale[key]}" for key in scale if key.startswith("hrnet_")]
-    changes = ([], ["scale.hrnet=hrnet_w48"], *([change] for change in hrnet))
+    changes = ([], ["hrnet.network=hrnet_w48"], *([change] for change in hrnet))
 
     def keys(experiment: str) -> set[str]:
         return {training_key(training_config(experiment, [*OVERRIDES, *change])) for change in changes}

@@ -1,14 +1,16 @@
 """Each experiment composes at each scale, the sizes of the scale apply, and invalid values are refused by name."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from imagination.config.compose import compose
+from imagination.config.key_roles import KEYS
+from imagination.config.overrides import leaves
 from imagination.config.validation import validate
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.utils.errors import UserError
@@ -45,37 +47,57 @@ def test_the_scale_sets_all_sizes_in_every_combination(experiment: str, scale: s
     check_sizes(experiment, scale, [f"callbacks=[{callbacks}]"])
 
 
+def sizes_of(scale: str) -> dict[str, Any]:
+    """Return the values of a scale by dotted key."""
+    return dict(leaves(read(CONF / "scale" / f"{scale}.yaml")))
+
+
 def check_sizes(experiment: str, scale: str, overrides: list[str]) -> None:
-    config = compose("train", [f"+experiment={experiment}", f"scale={scale}", *overrides, "paths.run=."])
-    resolved = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-    sizes = read(CONF / "scale" / f"{scale}.yaml")
-    assert resolved["scale"] == sizes
+    config = compose("train", [f"experiment={experiment}", f"scale={scale}", *overrides, "paths.run=."])
+    sizes = sizes_of(scale)
+    baseline = {
+        "trainer.max_epochs": "hrnet.max_epochs",
+        "trainer.check_val_every_n_epoch": "hrnet.check_val_every_n_epoch",
+        "data.micro_batches": "hrnet.micro_batches",
+    }
+    for key, value in sizes.items():
+        source = baseline.get(key, key) if experiment == "segmentation_hrnet" else key
+        assert OmegaConf.select(config, key) == sizes[source], key
+    resolved: Any = OmegaConf.to_container(config, resolve=True)
     assert resolved["name"] == experiment
-    epochs = "hrnet_max_epochs" if resolved["model"]["predicts"] == "images" else "epochs"
-    assert resolved["trainer"]["max_epochs"] == sizes[epochs]
-    assert resolved["data"]["module"]["batch_size"] == sizes["batch_size"]
-    assert resolved["data"]["observer"]["camera"]["width"] == sizes["image"]
-    assert resolved["ego"]["resolution"] == resolved["ground_truth"]["resolution"] == sizes["resolution"]
-    assert resolved["model"]["optimizer"]["lr"] == sizes["learning_rate"]
-    final = "hrnet_final_learning_rate" if epochs == "hrnet_max_epochs" else "final_learning_rate"
-    assert resolved["model"]["scheduler"]["eta_min"] == sizes[final]
-    assert (
-        resolved["model"]["scheduler"]["T_max"]
-        == sizes["hrnet_epochs" if epochs == "hrnet_max_epochs" else "epochs"]
-    )
-    assert resolved["evaluation"]["cell_widths"] == sizes["cell_widths"]
+    assert resolved["data"]["module"]["batch_size"] == sizes["data.batch_size"]
+    assert resolved["data"]["observer"]["camera"]["width"] == sizes["camera.width"]
+    assert resolved["ground_truth"]["resolution"] == sizes["ego.resolution"]
+    node, epochs = ("hrnet", "epochs") if experiment == "segmentation_hrnet" else ("model", "max_epochs")
+    assert resolved["model"]["scheduler"]["eta_min"] == sizes[f"{node}.final_learning_rate"]
+    assert resolved["model"]["scheduler"]["T_max"] == sizes[f"{node.replace('model', 'trainer')}.{epochs}"]
     validate(config)
 
 
-def test_scales_have_the_same_keys() -> None:
-    keys = [list(read(CONF / "scale" / f"{scale}.yaml")) for scale in options("scale")]
+def test_scales_set_the_same_keys() -> None:
+    keys = [list(sizes_of(scale)) for scale in options("scale")]
     assert all(names == keys[0] for names in keys)
+    assert set(keys[0]) <= {*KEYS, "data.splits", "data.eval_views"}
 
 
 @pytest.mark.parametrize("experiment", options("experiment"))
-def test_no_experiment_sets_a_size(experiment: str) -> None:
-    assert "scale" not in read(CONF / "experiment" / f"{experiment}.yaml")
-    assert "scale" not in str(read(CONF / "experiment" / f"{experiment}.yaml").get("defaults"))
+def test_no_experiment_sets_a_value_of_a_scale(experiment: str) -> None:
+    """The baseline has values of its own in each scale, in the node hrnet."""
+    content = read(CONF / "experiment" / f"{experiment}.yaml")
+    assert "scale" not in str(content.get("defaults"))
+    values = dict(leaves({key: value for key, value in content.items() if key != "defaults"}))
+    for key in values.keys() & sizes_of("small").keys():
+        assert experiment == "segmentation_hrnet" and values[key].startswith("${hrnet."), key
+
+
+def test_an_experiment_may_set_a_value_of_a_scale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An experiment comes after the scale in the defaults, as in lightning-hydra-template."""
+    folder = tmp_path / "plugins" / "mine" / "conf" / "experiment"
+    folder.mkdir(parents=True)
+    (folder / "mine.yaml").write_text("# @package _global_\nname: mine\ntrainer: {max_epochs: 7}\n")
+    monkeypatch.chdir(tmp_path)
+    config = compose("train", ["experiment=mine", "scale=test", "paths.run=."])
+    assert config.trainer.max_epochs == config.model.scheduler.T_max == 7
 
 
 def test_paper_holds_the_appendix() -> None:
@@ -83,20 +105,22 @@ def test_paper_holds_the_appendix() -> None:
     from imagination.geometry.morphology import kernel_cells
 
     config = compose("train", ["+experiment=chair_unet", "scale=paper"])
-    scale, kernels = config.scale, config.kernels
-    assert (scale.learning_rate, scale.batch_size, scale.buffer_size) == (0.001, 108, 12288)
-    assert (scale.update_interval, scale.update_batches, scale.parallel_scenes) == (5, 20, 16)
-    assert (scale.scenes.test, scale.viewpoint_sets, scale.orientations) == (60, 10, 2)
-    assert list(scale.cell_widths) == [3.0, 2.5, 2.0]
-    assert cells_of(scale.ego_extent, scale.resolution) == 261
-    assert cells_of(scale.world_extent, scale.resolution) == 2001
+    data, model, kernels, buffer = config.data, config.model, config.kernels, config.callbacks.replay_buffer
+    assert (model.optimizer.lr, data.batch_size, buffer.size) == (0.001, 108, 12288)
+    assert (buffer.update_interval, buffer.update_batches, data.parallel_scenes) == (5, 20, 16)
+    evaluation = config.evaluation
+    assert (data.splits.test, evaluation.viewpoint_sets, evaluation.orientations) == (60, 10, 2)
+    assert list(evaluation.cell_widths) == [3.0, 2.5, 2.0]
+    assert cells_of(config.ego.extent, config.ego.resolution) == 261
+    assert cells_of(config.world.extent, config.world.resolution) == 2001
     sizes = kernels.imaginable, kernels.neighbourhood, kernels.ground_truth
-    assert [kernel_cells(size, scale.resolution) for size in sizes] == [50, 31, 30]
-    assert config.model.optimizer._target_ == "torch.optim.Adam"
-    assert (scale.hflip_probability, scale.tta_hflip, scale.postprocess_dilation) == (0.0, False, 0.0)
-    assert list(scale.heights) == [] and scale.balanced_fraction == 0.0 and scale.encoder_shrink == 1
+    assert [kernel_cells(size, config.ego.resolution) for size in sizes] == [50, 31, 30]
+    assert model.optimizer._target_ == "torch.optim.Adam"
+    assert model.final_learning_rate == model.optimizer.lr
+    assert (data.hflip_probability, model.tta_hflip, model.postprocess_dilation) == (0.0, False, 0.0)
+    assert list(model.heights) == [] and data.balanced_fraction == 0.0 and model.encoder_shrink == 1
     assert config.aggregation_factor == 0.9
-    assert config.callbacks.replay_buffer.aggregation_factor == 0.9
+    assert buffer.aggregation_factor == 0.9
     assert config.mapping.registration.aggregation_factor == 0.9
 
 
@@ -105,18 +129,18 @@ def test_paper_holds_the_appendix() -> None:
     [
         ("kernels.imaginable=-1", r"kernels.imaginable: got -1.*\[0.005, 10.0\] m"),
         ("kernels.ground_truth=nan", "kernels.ground_truth: got nan"),
-        ("scale.resolution=0", "scale.resolution: got 0"),
+        ("ego.resolution=0", "ego.resolution: got 0"),
         ("aggregation_factor=1.5", r"aggregation_factor: got 1.5.*\[0.0, 1.0\]"),
         ("aggregation_factor=much", "aggregation_factor: got 'much'"),
-        ("scale.cell_widths=[3.0,0]", "scale.cell_widths: got 0"),
-        ("scale.cell_widths=3.0", "scale.cell_widths: got 3.0"),
-        ("scale.tta_hflip=maybe", "scale.tta_hflip: got 'maybe'"),
-        ("scale.precision=half", "scale.precision: got 'half'.*16-mixed"),
+        ("evaluation.cell_widths=[3.0,0]", "evaluation.cell_widths: got 0"),
+        ("evaluation.cell_widths=3.0", "evaluation.cell_widths: got 3.0"),
+        ("model.tta_hflip=maybe", "model.tta_hflip: got 'maybe'"),
+        ("trainer.precision=half", "trainer.precision: got 'half'.*16-mixed"),
         ("trainer.precision=64-true", "trainer.precision: got '64-true'"),
         ("evaluation.precision=half", "evaluation.precision: got 'half'"),
-        ("scale.epochs=2.5", "scale.epochs: got 2.5"),
+        ("trainer.max_epochs=2.5", "trainer.max_epochs: got 2.5"),
         ("trainer.max_epochs=null", "trainer.max_epochs: got None"),
-        ("scale.world_extent=9000", r"map of 9000.*got \d+ cells a side"),
+        ("world.extent=9000", r"map of 9000.*got \d+ cells a side"),
         ("unit_categories=[sofa]", "got 'sofa'.*bed, chair, table"),
         ("unit_categories=[]", "unit_categories: got none.*chair, bed, table"),
         ("name=a/b", "name: got 'a/b'"),
@@ -129,20 +153,17 @@ def test_invalid_values_are_refused(override: str, message: str) -> None:
 
 
 def test_a_baseline_trains_as_long_as_the_units() -> None:
-    for override in ("scale.epochs=85", "scale.hrnet_max_epochs=83"):
-        with pytest.raises(UserError, match="scale.hrnet_epochs: got 84.*scale.epochs"):
+    for override in ("hrnet.collection_epochs=85", "hrnet.max_epochs=83"):
+        with pytest.raises(UserError, match="hrnet.epochs: got 84"):
             validate(compose("train", ["+experiment=segmentation_hrnet", "scale=small", override]))
-        validate(compose("train", ["+experiment=chair_unet", "scale=small", override]))
+    for scale in options("scale"):
+        sizes = sizes_of(scale)
+        assert sizes["hrnet.collection_epochs"] == sizes["trainer.max_epochs"]
 
 
 def test_a_small_imaginable_kernel_warns() -> None:
     with pytest.warns(UserWarning, match="kernels.imaginable .*0.5"):
         validate(compose("train", ["kernels.imaginable=0.5"]))
-
-
-def test_unknown_options_list_those_that_exist() -> None:
-    with pytest.raises(HydraException, match=r"(?s)scale/huge.*paper.*small.*test"):
-        compose("train", ["scale=huge"])
 
 
 def test_a_category_is_added_by_config() -> None:
@@ -155,11 +176,12 @@ def test_a_category_is_added_by_config() -> None:
 @pytest.mark.parametrize("scale", options("scale"))
 def test_the_buffer_holds_enough_for_the_first_batch(scale: str) -> None:
     config = compose("train", [f"scale={scale}", "paths.run=."])
-    size, buffer = config.scale, ReplayBuffer(config.scale.buffer_size, config.aggregation_factor)
-    collection = size.parallel_scenes * size.update_interval
-    for _ in range(size.prefill_steps // size.update_interval + 1):
+    values = config.callbacks.replay_buffer
+    buffer = ReplayBuffer(values.size, config.aggregation_factor)
+    collection = config.data.parallel_scenes * values.update_interval
+    for _ in range(values.prefill_steps // values.update_interval + 1):
         buffer.insert({"pose": np.zeros((collection, 3))})
-    assert len(buffer.draw(size.batch_size, np.random.default_rng(0))["pose"]) == size.batch_size
+    assert len(buffer.draw(config.data.batch_size, np.random.default_rng(0))["pose"]) == config.data.batch_size
 
 
 def test_an_unknown_precision_is_refused_by_name() -> None:

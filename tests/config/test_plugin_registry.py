@@ -134,7 +134,7 @@ def test_a_broken_plugin_fails_only_if_it_is_used(command: Command, tmp_path: Pa
     assert "broken (folder" in done.stderr and "'scale/small' exists already" in done.stderr
     done = command("train", "model=mine", "--cfg", "job")
     assert done.returncode == 2
-    assert "broken (folder" in done.stderr and "Could not find 'model/mine'" in done.stderr
+    assert "broken (folder" in done.stderr and "model: got 'mine'" in done.stderr
 
 
 def test_the_example_adds_scenes_a_unit_and_a_callback(

@@ -66,7 +66,7 @@ def test_export_keeps_the_tta_hflip_of_the_checkpoint(tmp_path: Path) -> None:
     views, predictors, weights = samples(3), [], {}
     for tta_hflip in ("false", "true"):
         checkpoint = make_checkpoint(
-            tmp_path / f"{tta_hflip}.ckpt", "scale.postprocess_dilation=0", f"scale.tta_hflip={tta_hflip}"
+            tmp_path / f"{tta_hflip}.ckpt", "model.postprocess_dilation=0", f"model.tta_hflip={tta_hflip}"
         )
         state = torch.load(checkpoint, weights_only=True)
         weights = weights or state["state_dict"]

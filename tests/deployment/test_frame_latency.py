@@ -78,7 +78,7 @@ class Timed:
 def unit(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
     """ONNX file of three units of width 16 (scale=small), each with a separate encoder."""
     folder = tmp_path_factory.mktemp("units")
-    choices = ("scale=small", "scale.precision=32-true", f"scale.tta_hflip={request.param}")
+    choices = ("scale=small", "trainer.precision=32-true", f"model.tta_hflip={request.param}")
     checkpoints = [
         Checkpoint.read(make_checkpoint(folder / f"{name}.ckpt", *choices, f"unit_categories=[{name}]"))
         for name in CATEGORIES

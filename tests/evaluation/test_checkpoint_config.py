@@ -47,7 +47,7 @@ NODES = (
 
 def test_without_overrides_everything_is_as_in_the_run() -> None:
     choices = ["+experiment=bed_unet", "scale=test", "mapping/registration=mean"]
-    values = ["seed=3", "scale.viewpoint_sets=2", "kernels.neighbourhood=0.8", "name=mine"]
+    values = ["seed=3", "evaluation.viewpoint_sets=2", "kernels.neighbourhood=0.8", "name=mine"]
     values += [
         "evaluation.cell_widths=[4.0]",
         "mapping.segmentation.max_range=3.5",
@@ -62,8 +62,8 @@ def test_without_overrides_everything_is_as_in_the_run() -> None:
 
 
 def test_an_override_reaches_everything_that_refers_to_it() -> None:
-    kept = checkpoint(["scale=test"], "seed=3", "aggregation_factor=0.5", "scale.viewpoint_sets=2")
-    changes = ["aggregation_factor=0.9", "scale.viewpoint_sets=1", "evaluation.cell_widths=[4]"]
+    kept = checkpoint(["scale=test"], "seed=3", "aggregation_factor=0.5", "evaluation.viewpoint_sets=2")
+    changes = ["aggregation_factor=0.9", "evaluation.viewpoint_sets=1", "evaluation.cell_widths=[4]"]
     config = evaluation_config([kept], ["ckpt=best.ckpt", *changes])
     assert config.seed == 3
     assert config.mapping.registration.aggregation_factor == 0.9  # the default, although the run had another
@@ -77,8 +77,8 @@ def test_an_override_reaches_everything_that_refers_to_it() -> None:
         "model=projected",
         "model/encoder=timm",
         "model.unit.postprocess_dilation=0.1",
-        "scale.tta_hflip=false",
-        "scale.postprocess_dilation=0.1",
+        "model.tta_hflip=false",
+        "model.postprocess_dilation=0.1",
     ],
 )
 def test_networks_stay_as_they_were_trained(chair: Checkpoint, change: str) -> None:
@@ -127,7 +127,7 @@ def test_two_checkpoints_of_one_category_are_refused_by_name(experiments: list[s
     ("value", "message"),
     [
         (
-            "scale.resolution=0.1",
+            "ego.resolution=0.1",
             r"bed\.ckpt: .*bed .*0\.1 m.* best\.ckpt .*chair",
         ),
         (
@@ -161,17 +161,17 @@ def test_one_segmentation_network_is_enough(chair: Checkpoint) -> None:
 
 def test_the_study_adds_its_rows(chair: Checkpoint) -> None:
     config = evaluation_config([chair], ["ckpt=a", "+study=paper"])
-    assert config.name == "study" and config.evaluation.known_scenes == config.scale.scenes.test
+    assert config.name == "study" and config.evaluation.known_scenes == config.data.splits.test
     assert list(config.evaluation.approaches)[-2:] == ["rgb_shuffled", "oracle"]
 
 
-@pytest.mark.parametrize("override", ["unit_categories=[chair,bed]", "scale.resolution=0.1"])
+@pytest.mark.parametrize("override", ["unit_categories=[chair,bed]", "ego.resolution=0.1"])
 def test_a_checkpoint_of_something_else_is_refused(chair: Checkpoint, override: str) -> None:
     with pytest.raises(UserError, match=r"best\.ckpt: .*chair .*0\.12 m"):
         evaluation_config([chair], ["ckpt=best.ckpt", override])
 
 
-@pytest.mark.parametrize("override", ["camera.width=40", "scale.ego_extent=4.2", "camera.mount_height=0.9"])
+@pytest.mark.parametrize("override", ["camera.width=40", "ego.extent=4.2", "camera.mount_height=0.9"])
 def test_another_camera_or_map_is_refused(chair: Checkpoint, override: str) -> None:
     with pytest.raises(UserError, match=r"best\.ckpt: .*(camera|ego)="):
         evaluation_config([chair], ["ckpt=best.ckpt", override])

@@ -43,7 +43,7 @@ def test_no_heights_give_no_band() -> None:
 
 @pytest.mark.parametrize("heights", [[0.5, 0.2], [0.2, 0.2, 0.5]])
 def test_heights_that_do_not_ascend_are_refused(heights: list[float]) -> None:
-    with pytest.raises(UserError, match="scale.heights: got"):
+    with pytest.raises(UserError, match="model.heights: got"):
         HeightBands(CAMERA, EGO, heights)
 
 

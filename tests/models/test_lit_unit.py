@@ -103,7 +103,7 @@ def test_a_loss_that_needs_the_whole_batch_is_refused_with_accumulation() -> Non
         max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
         enable_model_summary=False, accumulate_grad_batches=2,
     )  # fmt: skip
-    with pytest.raises(UserError, match=r"scale.accumulate: got 2.*BCEDice"):
+    with pytest.raises(UserError, match=r"data.micro_batches: got 2.*BCEDice"):
         trainer.fit(module, loader(2))
 
 

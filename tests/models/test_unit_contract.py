@@ -65,9 +65,9 @@ def test_tta_hflip_is_the_mean_over_both_flips(variant: str) -> None:
     augmented, plain = (
         build(
             f"+model={variant}",
-            f"scale.tta_hflip={tta_hflip}",
-            "scale.height_jitter=0",
-            "scale.postprocess_dilation=0",
+            f"model.tta_hflip={tta_hflip}",
+            "model.height_jitter=0",
+            "model.postprocess_dilation=0",
         )
         for tta_hflip in ("true", "false")
     )
@@ -88,9 +88,9 @@ def test_postprocess_dilation_equals_opencv(variant: str, window: float, cells: 
     raw, postprocessed = (
         build(
             f"+model={variant}",
-            f"scale.postprocess_dilation={size}",
-            "scale.height_jitter=0",
-            "scale.tta_hflip=false",
+            f"model.postprocess_dilation={size}",
+            "model.height_jitter=0",
+            "model.tta_hflip=false",
         )
         for size in (0.0, window)
     )
@@ -110,7 +110,7 @@ def test_postprocess_dilation_equals_opencv(variant: str, window: float, cells: 
 @pytest.mark.parametrize("cells", [9, 33, 87, 261])
 @pytest.mark.parametrize("backbone", BACKBONES)
 def test_grids_of_any_size_work(backbone: str, cells: int) -> None:
-    unit = build("+model=unit", f"model/backbone={backbone}", f"scale.ego_extent={0.12 * cells}").eval()
+    unit = build("+model=unit", f"model/backbone={backbone}", f"ego.extent={0.12 * cells}").eval()
     batch = batch_for(cells=cells, views=1)
     with torch.no_grad():
         assert unit(*inputs(batch)).shape == (1, 1, cells, cells)
@@ -142,7 +142,7 @@ def test_every_input_affects_the_prediction(variant: str) -> None:
 
 def test_units_of_a_module_get_the_gradients_of_training_alone() -> None:
     names = ["chair", "bed", "table"]
-    exact = "scale.height_jitter=0"  # random jitter would differ
+    exact = "model.height_jitter=0"  # random jitter would differ
     module = build("+model=units", f"unit_categories=[{','.join(names)}]", exact)
     batch = random_batch(size=48, cells=31, categories=3)
     WeightedBCE()(module(*inputs(batch)), batch["label"], batch["neighbourhood"]).loss.backward()

@@ -20,7 +20,7 @@ from imagination.views.pose_samplers import sample_poses
 FOLDER = Path(__file__).parent
 SCENES = "train_0000", "train_0001", "val_0000", "test_0000"
 EXPERIMENTS = "chair_unet", "bed_unet", "table_unet", "segmentation_hrnet"
-OVERRIDES = "scale=test", "scale.precision=32-true"
+OVERRIDES = "scale=test", "trainer.precision=32-true"
 MAPS = "occupied", "label", "segmented", "truth"
 POSES = 16
 """Number of sampled poses of each scene."""

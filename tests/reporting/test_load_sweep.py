@@ -185,7 +185,7 @@ def test_failed_and_missing_jobs_are_reported_and_the_rest_is_shown(sweep: Path)
 def test_a_sweep_over_cell_widths_is_drawn_over_all_of_each(tmp_path: Path) -> None:
     folder = tmp_path / "multirun"
     for number, width in enumerate((3.0, 2.0)):
-        job = make_folder(folder / str(number), choices=[f"scale.cell_widths=[{width}]"])
+        job = make_folder(folder / str(number), choices=[f"evaluation.cell_widths=[{width}]"])
         table = job / "tables" / "trials.csv"
         head, *lines = table.read_text().splitlines()
         table.write_text("\n".join([head, *(line for line in lines if f",{width:g},test" in line)]) + "\n")
@@ -197,7 +197,7 @@ def test_a_sweep_over_cell_widths_is_drawn_over_all_of_each(tmp_path: Path) -> N
     (drawing, _) = content.sections[1].drawings
     axes = drawing.draw().axes
     assert [axis.get_title() for axis in axes] == ["all cell widths together"]
-    assert axes[0].get_xlabel() == "scale.cell_widths"
+    assert axes[0].get_xlabel() == "evaluation.cell_widths"
 
 
 def test_jobs_without_a_common_category_are_drawn(tmp_path: Path) -> None:

@@ -47,9 +47,9 @@ VIEWS = 300
 
 THIS_PROCESS = "this process"
 
-TEST = "scale=test", "scale.workers=1"
-LONG_TRAINING = "train", "+experiment=chair_unet", *TEST, "scale.epochs=1000000", "scale.eval_every=200"
-LONG_RENDERING = "prepare_shards", "shards=shards", *TEST, "scale.scenes.train=9999", "views=16"
+TEST = "scale=test", "data.workers=1"
+LONG_TRAINING = "train", "+experiment=chair_unet", *TEST, "trainer.max_epochs=1000000", "trainer.check_val_every_n_epoch=200"
+LONG_RENDERING = "prepare_shards", "shards=shards", *TEST, "data.splits.train=9999", "views=16"
 """Commands that run in the background during all rounds."""
 
 COLUMNS = {"train": "training", "map": "mapping", "prepare_shards": "rendering"}

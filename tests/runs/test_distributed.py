@@ -25,7 +25,7 @@ from imagination.views.collector import Views, concatenate
 from tests.conftest import ROOT, Command
 from tests.data.test_datamodule import data, same
 
-JOB = ["+experiment=chair_unet", "scale=test", "scale.workers=0", "trainer.accelerator=cpu"]
+JOB = ["+experiment=chair_unet", "scale=test", "data.workers=0", "trainer.accelerator=cpu"]
 TWO = [*JOB, "trainer.devices=2"]
 
 
@@ -71,9 +71,9 @@ def test_one_process_collects_as_before(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["scale.batch_size=5"], "scale.batch_size: got 5 "),
-        (["scale.scenes.train=1"], "scale.scenes.train: got 1 "),
-        (["scale.eval_views.val=1"], "scale.eval_views.val: got 1 "),
+        (["data.batch_size=5"], "data.batch_size: got 5 "),
+        (["data.splits.train=1"], "data.splits.train: got 1 "),
+        (["data.eval_views.val=1"], "data.eval_views.val: got 1 "),
         (["seed=1,2", "--multirun"], "trainer.devices: got 2 "),
     ],
 )
@@ -148,7 +148,7 @@ def scalars(folder: Path, tag: str) -> list[float]:
 @pytest.mark.slow
 def test_scores_are_those_of_one_process(command: Command, tmp_path: Path) -> None:
     """Two processes train and are tested; one process then tests the same checkpoint: the same tables and loss."""
-    views = "scale.eval_views={val: 9, test: 9}"  # in batches of 4: one view remains
+    views = "data.eval_views={val: 9, test: 9}"  # in batches of 4: one view remains
     done = command("train", *TWO, views, timeout=1200)
     assert done.returncode == 0, done.stderr
     folders = [path for path in (tmp_path / "outputs" / "chair_unet").iterdir() if not path.is_symlink()]
@@ -166,7 +166,7 @@ def test_scores_are_those_of_one_process(command: Command, tmp_path: Path) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("victim", [0, 1])
 def test_a_killed_process_stops_the_job_which_resumes(command: Command, tmp_path: Path, victim: int) -> None:
-    long = ["scale.epochs=100000", "scale.eval_every=100000"]
+    long = ["trainer.max_epochs=100000", "trainer.check_val_every_n_epoch=100000"]
     with open(tmp_path / "stderr", "w") as stderr:
         process = subprocess.Popen(
             [sys.executable, "-m", "imagination.train", *TWO, *long],

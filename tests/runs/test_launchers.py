@@ -20,7 +20,7 @@ from imagination.utils.errors import UserError
 from tests.conftest import ROOT, Command
 from tests.helpers.checkpoints import make_checkpoint
 
-SWEEP = ["train", "-m", "+experiment=chair_unet", "scale=test", "scale.workers=0", "seed=1,2"]
+SWEEP = ["train", "-m", "+experiment=chair_unet", "scale=test", "data.workers=0", "seed=1,2"]
 
 
 def tables(outputs: Path) -> dict[str, bytes]:
@@ -115,7 +115,7 @@ def test_a_failed_job_is_reported_and_the_others_finish(command: Command, tmp_pa
 @pytest.mark.slow
 def test_a_killed_workers_task_is_retried(command: Command, tmp_path: Path) -> None:
     pytest.importorskip("ray")
-    long = [*SWEEP, "scale.epochs=6"]
+    long = [*SWEEP, "trainer.max_epochs=6"]
     done = command(*long, f"paths.outputs={tmp_path / 'alone'}", timeout=900)
     assert done.returncode == 0, done.stderr
     words = [*long, "hydra/launcher=ray", f"paths.outputs={tmp_path / 'outputs'}"]
@@ -168,7 +168,7 @@ def test_a_lost_job_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 @pytest.mark.slow
 def test_parts_of_a_dataset_are_rendered_on_ray(command: Command, tmp_path: Path) -> None:
     pytest.importorskip("ray")
-    words = ["scale=test", "scale.scenes.train=3", "views=8"]
+    words = ["scale=test", "data.splits.train=3", "views=8"]
     spread = ["-m", "parts=2", "part=0,1", "hydra/launcher=ray"]
     for folder, options in (("alone", []), ("spread", spread)):
         done = command("prepare_shards", *options, *words, f"shards={folder}", timeout=600)

@@ -48,7 +48,7 @@ def test_a_checkpoint_holds_values_and_no_targets(tmp_path: Path) -> None:
     state = read_state(checkpoint(tmp_path / "a.ckpt"))
     assert "_target_" not in str(state[KEY]) and str(Path.cwd()) not in str(state[KEY])
     read = Checkpoint.read(tmp_path / "a.ckpt")
-    assert (read.config.seed, read.config.model.loss.alpha_max, read.config.scale.unit_width) == (
+    assert (read.config.seed, read.config.model.loss.alpha_max, read.config.model.width) == (
         7,
         12.0,
         4,
@@ -228,8 +228,8 @@ def test_every_experiment_trains_and_resumes(command: Command, tmp_path: Path, e
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_tables(tmp_path: Path, command: Command) -> None:
     """Two trainings with separate empty caches; another seed gives other tables. In bfloat16, as at small scale."""
-    learning = ["scale.epochs=10", "scale.learning_rate=0.01"]  # predictions of untrained units are all equal
-    job = [*JOB, *learning, "scale.precision=bf16-mixed"]
+    learning = ["trainer.max_epochs=10", "model.optimizer.lr=0.01"]  # predictions of untrained units are all equal
+    job = [*JOB, *learning, "trainer.precision=bf16-mixed"]
     for folder, seed in (("one", 5), ("two", 5), ("other", 6)):
         done = command("train", *job, f"seed={seed}", f"paths.outputs={folder}", timeout=900)
         assert done.returncode == 0, done.stderr
@@ -258,15 +258,15 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(
     tmp_path: Path, command: Command, experiment: str, moment: float
 ) -> None:
     """SIGKILL after the first checkpoint, move the folder, resume: the same weights, tables and curves."""
-    job = [f"+experiment={experiment}", "scale=test", "scale.eval_every=2", "scale.workers=1"]
+    job = [f"+experiment={experiment}", "scale=test", "trainer.check_val_every_n_epoch=2", "data.workers=1"]
     if experiment == "segmentation_hrnet":  # six epochs, beyond those in which its learning rate falls
         job += [
-            "scale.hrnet_max_epochs=8",
+            "hrnet.max_epochs=8",
             "callbacks.early_stopping.patience=5",
             "callbacks.early_stopping.min_delta=1.0",
         ]
     else:
-        job += ["scale.epochs=6", "scale.final_learning_rate=0.00001"]
+        job += ["trainer.max_epochs=6", "model.final_learning_rate=0.00001"]
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert command("train", *job, f"paths.outputs={whole}").returncode == 0
     process = subprocess.Popen(

@@ -84,7 +84,7 @@ def test_a_key_depends_on_the_results_only() -> None:
     for change in ("seed=1", "kernels.imaginable=1.2", "mapping/registration=mean", "trainer.max_epochs=3"):
         assert key != config_key(compose("train", [*JOB, change]))
     trained = config_key(compose("train", JOB), sweep_jobs.EVALUATION_ONLY)
-    for change in ("mapping/registration=mean", "scale.cell_widths=[1.0]", "evaluation.seed=3"):
+    for change in ("mapping/registration=mean", "evaluation.cell_widths=[1.0]", "evaluation.seed=3"):
         assert trained == config_key(compose("train", [*JOB, change]), sweep_jobs.EVALUATION_ONLY)
     for change in ("seed=1", "kernels.imaginable=1.2", "model=projected"):
         assert trained != config_key(compose("train", [*JOB, change]), sweep_jobs.EVALUATION_ONLY)
@@ -108,7 +108,7 @@ def test_a_missing_extra_is_reported_with_its_installation(option: str) -> None:
 
 
 def test_a_failed_job_stops_no_other_and_is_retried(command: Command, tmp_path: Path) -> None:
-    job = ["-m", *JOB, "name=swept", "trainer.fast_dev_run=true", "scale.prefill_steps=3,8"]
+    job = ["-m", *JOB, "name=swept", "trainer.fast_dev_run=true", "callbacks.replay_buffer.prefill_steps=3,8"]
     done = command("train", *job)
     assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
     sweep = only(tmp_path / "outputs" / "swept" / "multirun_*")
@@ -116,7 +116,7 @@ def test_a_failed_job_stops_no_other_and_is_retried(command: Command, tmp_path: 
     assert (sweep / "1" / "tables" / "mapping.csv").is_file()
     assert "1 of 2 " in done.stderr
     failed = [line for line in done.stderr.splitlines() if "0 failed" in line]
-    assert len(failed) == 1 and "prefill_steps: got 3" in failed[0] and "scale.prefill_steps=3" in failed[0]
+    assert len(failed) == 1 and "prefill_steps: got 3" in failed[0] and "callbacks.replay_buffer.prefill_steps=3" in failed[0]
     assert not (tmp_path / "outputs" / "swept" / "latest").exists()
     retry = next(line for line in done.stderr.splitlines() if "imagination.train " in line)
     done = command("train", *shlex.split(retry.partition("imagination.train ")[2]))
@@ -234,7 +234,7 @@ def hparams_of(logdir: Path) -> list[dict[str, float]]:
 @pytest.mark.slow
 def test_a_killed_sweep_continues_with_the_remaining_jobs(command: Command, tmp_path: Path) -> None:
     """SIGKILL in the second job after its first checkpoint: it resumes with the same results as without the kill."""
-    job = ["-m", *JOB, "scale.epochs=6", "scale.eval_every=2", "seed=1,2,3"]
+    job = ["-m", *JOB, "trainer.max_epochs=6", "trainer.check_val_every_n_epoch=2", "seed=1,2,3"]
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert command("train", *job, f"sweep_dir={whole}", timeout=1200).returncode == 0
     process = subprocess.Popen(
@@ -319,7 +319,7 @@ def test_a_search_is_continued(command: Command, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     first = sweep_jobs.read(tmp_path / "search")
     assert [job.state for job in first] == ["done"] * 3
-    assert len({line["scale.learning_rate"] for line in swept(tmp_path / "search")}) == 3
+    assert len({line["model.optimizer.lr"] for line in swept(tmp_path / "search")}) == 3
     assert yaml.safe_load((tmp_path / "search" / "optimization_results.yaml").read_text())[
         "best_value"
     ] == max(float(job.score) for job in first)

@@ -65,7 +65,7 @@ def test_a_worker_killed_while_it_sends_a_result_is_noticed(tmp_path: Path) -> N
     pool = ScenePool(observer(tmp_path), workers=1)
     try:
         for _ in range(2):  # tasks submitted later fail as well
-            with pytest.raises(WorkerDiedError, match="scale.workers"):
+            with pytest.raises(WorkerDiedError, match="data.workers"):
                 pool.submit(die_while_sending, "one").result(timeout=60)
     finally:
         pool.close()

@@ -167,7 +167,7 @@ class Shards:
         if "://" in self.place and needed > self.gigabytes:
             raise UserError(
                 f"data.module.shard_gigabytes: got {self.gigabytes}, expected at least {needed:.3g} GB for the chunks "
-                f"of {scenes} parallel scenes; raise it or lower scale.parallel_scenes"
+                f"of {scenes} parallel scenes; raise it or lower data.parallel_scenes"
             )
 
     def check(self, observer: Observer) -> None:
@@ -223,7 +223,7 @@ class ShardCollector:
         if not items or steps % shards.group or steps // shards.group > items:
             raise UserError(
                 f"data.shards: got {len(self.scenes)} scenes with {items} groups of {shards.group} views, expected at "
-                f"least one scene with {steps} views, in groups whose size divides scale.update_interval = {steps}; "
+                f"least one scene with {steps} views, in groups whose size divides callbacks.replay_buffer.update_interval = {steps}; "
                 "write the shards with this update interval"
             )
         self._groups_per_scene = steps // shards.group  # in one collection

@@ -75,7 +75,7 @@ class ShardSpec:
         check_range("views", self.views, 1, 10_000_000, "views per scene")
         if self.views % self.group:
             raise UserError(
-                f"views: got {self.views} per scene, expected a multiple of scale.update_interval = {self.group}"
+                f"views: got {self.views} per scene, expected a multiple of callbacks.replay_buffer.update_interval = {self.group}"
             )
 
     def view_settings(self, observer: Observer) -> dict[str, Any]:
@@ -185,7 +185,7 @@ def write_scenes(
     Raises:
         UserError: if the number of workers is out of range, or the folder cannot be written to.
     """
-    check_range("scale.workers", workers, 0, 1024)
+    check_range("data.workers", workers, 0, 1024)
     pending = list(reversed(scenes))
     idle = [ScenePool(observer, min(workers, 1)) for _ in range(max(workers, 1))]
     running: dict[Future[str], tuple[str, ScenePool]] = {}
@@ -201,7 +201,7 @@ def write_scenes(
                 except WorkerDiedError:
                     pool.close()
                     pool = ScenePool(observer, 1)
-                    problem = "its worker process was killed (possibly out of memory); try again with scale.workers=1"
+                    problem = "its worker process was killed (possibly out of memory); try again with data.workers=1"
                 except CannotWriteError:
                     pool.close()
                     raise

@@ -16,8 +16,8 @@ from imagination.models.segmentation.hrnet import at_size
 from imagination.models.tta_hflip import average_with_hflip
 
 Batch = Mapping[str, Tensor]
-"""rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for background, else category index + 1; views int64 () in a
-micro-batch, the number of views in the whole batch."""
+"""rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for background, else category index + 1; views and
+micro_batches int64 () in a micro-batch, the number of views and of micro-batches in the whole batch."""
 
 
 class LitSegmentation(LightningModule):
@@ -69,8 +69,8 @@ class LitSegmentation(LightningModule):
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         loss, _ = self.compare(batch)
-        if "views" in batch:  # Lightning averages over parts, whose sizes may differ by a view
-            loss = loss * len(batch["rgb"]) * self.trainer.accumulate_grad_batches / batch["views"]
+        if "views" in batch:  # Lightning averages over micro-batches, whose sizes may differ by a view
+            loss = loss * len(batch["rgb"]) * batch["micro_batches"] / batch["views"]
         values = {"loss": loss, "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"]}
         self.log_dict(
             {f"train/{name}": value for name, value in values.items()},

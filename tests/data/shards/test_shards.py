@@ -458,7 +458,7 @@ def test_a_scene_that_kills_its_worker_is_left_out(tmp_path: Path) -> None:
     assert list(opened(folder).scenes) == ["train_0", "train_2", "train_3"]
 
 
-WRITE = ["scale=test", "scale.scenes.train=3", "views=8", "shards=dataset"]
+WRITE = ["scale=test", "data.splits.train=3", "views=8", "shards=dataset"]
 
 
 def test_the_command_writes_and_resumes_and_training_streams(command: Command, tmp_path: Path) -> None:
@@ -476,7 +476,7 @@ def test_the_command_writes_and_resumes_and_training_streams(command: Command, t
         "train",
         "+experiment=chair_unet",
         "scale=test",
-        "scale.image=40",
+        "camera.width=40",
         "data=shards",
         "data.shards=dataset",
     )
