@@ -100,10 +100,9 @@ KEYS: Mapping[str, Key] = {
     "data.shards": Key(Role.TRAINING, resumable=True),  # the folder may have been moved; reading it checks its kind
     "data.module.shard_cache": Key(Role.LOCATION),
     "data.module.shard_gigabytes": Key(Role.EXECUTION),
-    "data.module.observer": Key(Role.LOCATION),  # set data.observer; both contain the cache
+    "data.module.observer": Key(Role.LOCATION),  # set data.observer instead
     "data.module.eval_sampler": Key(Role.TRAINING, old=("data.module.held_out_sampler",)),
     "data.observer.ground_truth_spec": Key(Role.TRAINING, old=("data.observer.truth_spec",)),
-    "data.observer.cache": Key(Role.LOCATION),
     "callbacks.replay_buffer.size": _training(1, 10_000_000, "views", "N", ("scale.buffer_size",)),
     "callbacks.replay_buffer.update_interval": _training(
         1, 10_000, "collection steps", "update interval", ("scale.update_interval",)
@@ -186,6 +185,7 @@ KEYS: Mapping[str, Key] = {
     "callbacks.mapping_evaluation.every_n_epochs": Key(
         Role.EVALUATION, old=("callbacks.mapping_evaluation.every_n_rounds",)
     ),
+    "callbacks.mapping_evaluation.protocol": Key(Role.LOCATION),  # set evaluation instead
     "callbacks.mapping_evaluation.folder": Key(Role.LOCATION),
     "callbacks.mapping_evaluation": Key(Role.EVALUATION),
     # where
@@ -242,7 +242,13 @@ def is_resumable(key: str) -> bool:
 
 
 def _row(key: str) -> Key | None:
-    """Return the row of a key, or of the longest node in the table that contains it."""
+    """Return the row of a key, or of the longest node in the table that contains it.
+
+    A node with the name of a node of locations, such as the cache of a scene source, is one wherever it is.
+    """
     parts = key.partition("@")[0].replace("/", ".").split(".")
+    for name in ("paths", "cache"):
+        if name in parts:
+            return KEYS[".".join(parts)] if ".".join(parts) in KEYS else KEYS[name]
     prefixes = (".".join(parts[:count]) for count in range(len(parts), 0, -1))
     return next((KEYS[prefix] for prefix in prefixes if prefix in KEYS), None)

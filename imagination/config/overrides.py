@@ -4,6 +4,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
 from imagination.config.key_roles import OPTIONAL_GROUPS, RESULT_ROLES, role
 
 
@@ -39,6 +41,22 @@ def without_plus(override: str) -> str:
     ('experiment=chair_unet', '+trainer.profiler=simple')
     """
     return override.lstrip("+") if override_key(override) in OPTIONAL_GROUPS else override
+
+
+def set_keys(override: str) -> list[str]:
+    """Return the dotted keys that an override sets; a dictionary as its value sets those within it.
+
+    >>> set_keys("cache={folder: /data, max_gigabytes: 1}"), set_keys("+experiment=chair_unet")
+    (['cache.folder', 'cache.max_gigabytes'], ['experiment'])
+    """
+    parsed = OverridesParser.create().parse_override(override)
+    key, value = override_key(override), parsed.value()
+    return [f"{key}.{name}" for name, _ in leaves(_plain(value))] if isinstance(value, dict) and value else [key]
+
+
+def _plain(value: Any) -> Any:
+    """Return a parsed value with plain text as the keys of dictionaries."""
+    return {str(name): _plain(item) for name, item in value.items()} if isinstance(value, dict) else value
 
 
 def override_key(override: str) -> str:

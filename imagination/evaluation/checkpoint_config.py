@@ -57,8 +57,6 @@ def evaluation_config(checkpoints: Sequence[Checkpoint], overrides: list[str]) -
         UserError: if two checkpoints predict the same category, the categories, resolution or camera of a checkpoint
             differ from those of the others or of the overrides, or an override changes a network.
     """
-    from imagination.runs.checkpoint import KEY
-
     by_kind = {kind: [each for each in checkpoints if each.predicts == kind] for kind in ("maps", "images")}
     for group in by_kind.values():
         _refuse_duplicates(group)
@@ -66,9 +64,7 @@ def evaluation_config(checkpoints: Sequence[Checkpoint], overrides: list[str]) -
         other.check_compatible(checkpoints[0].config, f"checkpoint {checkpoints[0].path}")
     categories = [name for each in by_kind["maps"] or by_kind["images"] for name in each.categories]
     overridden = {override_key(text) for text in overrides}
-    inherited = [
-        text for text in checkpoints[0].state[KEY]["choices"] if override_key(text) not in overridden
-    ]
+    inherited = [text for text in checkpoints[0].overrides if override_key(text) not in overridden]
     config = compose(
         "evaluate", [*inherited, f"unit_categories={json.dumps(categories)}", "paths.run=.", *overrides]
     )

@@ -21,6 +21,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from imagination.config.compose import compose
+from imagination.config.key_roles import RESULT_ROLES, role
+from imagination.config.overrides import set_keys
 from imagination.models.weights import mismatches
 from imagination.runs.folder import LAST
 from imagination.utils.atomic_io import replacing
@@ -105,36 +107,52 @@ class Checkpoint:
         return cls(Path(path), read_state(Path(path)))
 
     @cached_property
+    def overrides(self) -> list[str]:
+        """Overrides of the run that determine its results.
+
+        Raises:
+            UserError: if the file holds an override of another kind, such as `paths.cache=/elsewhere`.
+        """
+        overrides = self.state[KEY]["choices"]
+        for text in [*overrides, *_texts(self.state[KEY]["values"])]:
+            if "${" in text or "_target_" in text:
+                raise self._refused(text, "plain values")
+        for text in overrides:
+            if not OVERRIDE.fullmatch(text) or ".." in text:  # ".." could leave the conf tree
+                raise self._refused(text, "an override such as model/encoder=timm or seed=3")
+            for key in set_keys(text):
+                if role(key) not in RESULT_ROLES:
+                    raise self._refused(text, "overrides of the training or the evaluation")
+        return list(overrides)
+
+    @cached_property
     def config(self) -> DictConfig:
-        """Config of the run: targets from the installed conf and plugins, plain values from the checkpoint.
+        """Config of the run.
+
+        Targets, references, and everything about paths and execution come from the installed conf and plugins; other
+        plain values come from the checkpoint.
 
         Raises:
             UserError: if the saved configuration holds anything but overrides and plain values.
         """
-        overrides, values = self.state[KEY]["choices"], self.state[KEY]["values"]
-        for text in [*overrides, *_texts(values)]:
-            if "${" in text or "_target_" in text:
-                raise UserError(
-                    f"checkpoint {self.path}: holds {text!r}, expected plain values; do not use this file"
-                )
-        for text in overrides:
-            if not OVERRIDE.fullmatch(text) or ".." in text:  # ".." could leave the conf tree
-                raise UserError(
-                    f"checkpoint {self.path}: holds {text!r}, expected an override such as model/encoder=timm or "
-                    "seed=3; do not use this file"
-                )
         try:
-            composed = compose("train", [*overrides, "paths.run=."])
+            composed = compose("train", [*self.overrides, "paths.run=."])
         except (
             HydraException,
             OmegaConfBaseException,
+            UserError,
         ) as error:  # e.g. a plugin of the training is not installed
             raise UserError(
                 f"checkpoint {self.path}: got overrides that cannot be composed ({error}); install the plugins that "
                 "it was trained with"
             ) from error
-        merged: dict[str, Any] = _with_values(OmegaConf.to_container(composed, resolve=True), values)
-        return OmegaConf.create(merged)
+        merged: dict[str, Any] = _with_values(OmegaConf.to_container(composed), self.state[KEY]["values"])
+        config = OmegaConf.create(merged)
+        OmegaConf.resolve(config)
+        return config
+
+    def _refused(self, text: str, expected: str) -> UserError:
+        return UserError(f"checkpoint {self.path}: holds {text!r}, expected {expected}; do not use this file")
 
     @property
     def categories(self) -> list[str]:
@@ -243,10 +261,20 @@ def _texts(node: Any) -> Iterator[str]:
         yield node
 
 
-def _with_values(composed: Any, values: Any) -> Any:
-    """Return the composed config with its values replaced by `values`; targets, which `values` lack, stay."""
-    if isinstance(composed, dict) and isinstance(values, dict):
-        return {**composed, **{key: _with_values(composed.get(key), value) for key, value in values.items()}}
+def _with_values(composed: Any, values: Any, key: str = "") -> Any:
+    """Return a composed config with the saved values of the keys that determine results.
+
+    Targets and references of the composed config stay, and so do the keys that it does not have.
+    """
+    if isinstance(composed, dict):
+        known = values if isinstance(values, dict) else {}
+        return {
+            name: _with_values(node, known[name], f"{key}.{name}".lstrip(".")) if name in known else node
+            for name, node in composed.items()
+        }
     if isinstance(composed, list) and isinstance(values, list) and len(composed) == len(values):
-        return [_with_values(old, new) for old, new in zip(composed, values, strict=True)]
-    return values
+        return [_with_values(old, new, key) for old, new in zip(composed, values, strict=True)]
+    is_reference = isinstance(composed, str) and "${" in composed
+    if is_reference or key.rpartition(".")[2].startswith("_") or isinstance(values, dict):
+        return composed
+    return values if role(key) in RESULT_ROLES else composed

@@ -33,7 +33,7 @@ REPETITIONS = 10
 def run(folder: str) -> list[Figure]:
     """Return all figures."""
     require_extra("litdata", "shards")
-    spec = ShardSpec(UniformPoses(), SEED, VIEWS, config(folder).scale.update_interval)
+    spec = ShardSpec(UniformPoses(), SEED, VIEWS, config(folder).callbacks.replay_buffer.update_interval)
     observers = {workers: observer(f"{folder}/dataset_{workers}") for workers in (1, 2)}
     first, *scenes = observers[1].source.scenes("test")[: SCENES + 1]
     pools = {workers: ScenePool(views, workers) for workers, views in observers.items()}

@@ -21,9 +21,9 @@ def batches(device: str, accumulate: int) -> list[Batch]:
     callback.buffer.insert(
         {"pose": np.zeros((100, 3)), "rgb": np.arange(4800, dtype=np.uint8).reshape(100, 4, 4, 3)}
     )
-    data = Mock(spec=SceneData, seed=1, batch_size=12, predicts="maps")
+    data = Mock(spec=SceneData, seed=1, batch_size=12, predicts="maps", micro_batches=accumulate)
     data.assemble = lambda views: {"rgb": torch.from_numpy(views["rgb"]).permute(0, 3, 1, 2)}
-    trainer = Mock(spec=Trainer, current_epoch=2, accumulate_grad_batches=accumulate, datamodule=data)
+    trainer = Mock(spec=Trainer, current_epoch=2, datamodule=data)
     trainer.strategy.root_device = torch.device(device)
     callback.on_fit_start(trainer, Mock(spec=LightningModule))
     assert len(data.epochs) == 7 * accumulate

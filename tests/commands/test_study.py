@@ -150,7 +150,7 @@ def test_invalid_settings_are_refused_before_the_trainings(
 
 def test_an_unknown_comparison_trains_nothing(command: Command, tmp_path: Path) -> None:
     done = command("study", "scale=test", "compare=nothing", "experiments=[chair_unet]")
-    assert done.returncode == 2 and "study/nothing" in done.stderr, done.stderr
+    assert done.returncode == 2 and  "study: got 'nothing'" in done.stderr, done.stderr
     assert not (tmp_path / "outputs").exists()
 
 
@@ -162,8 +162,8 @@ def test_sweeps_are_refused(command: Command, word: str) -> None:
 
 
 def test_settings_of_the_segmentation_network_retrain_no_unit() -> None:
-    scale = training_config("segmentation_hrnet", OVERRIDES).scale
-    hrnet = [f"scale.{key}={2 * scale[key]}" for key in scale if key.startswith("hrnet_")]
+    values = training_config("segmentation_hrnet", OVERRIDES).hrnet
+    hrnet = [f"hrnet.{key}={2 * value}" for key, value in values.items() if key != "network"]
     changes = ([], ["hrnet.network=hrnet_w48"], *([change] for change in hrnet))
 
     def keys(experiment: str) -> set[str]:

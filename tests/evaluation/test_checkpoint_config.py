@@ -32,7 +32,8 @@ def node(config: DictConfig, key: str) -> Any:
 
 
 NODES = (
-    "scale",
+    "ego",
+    "world",
     "seed",
     "unit_categories",
     "kernels",
@@ -160,7 +161,7 @@ def test_one_segmentation_network_is_enough(chair: Checkpoint) -> None:
 
 
 def test_the_study_adds_its_rows(chair: Checkpoint) -> None:
-    config = evaluation_config([chair], ["ckpt=a", "+study=paper"])
+    config = evaluation_config([chair], ["ckpt=a", "study=paper"])
     assert config.name == "study" and config.evaluation.known_scenes == config.data.splits.test
     assert list(config.evaluation.approaches)[-2:] == ["rgb_shuffled", "oracle"]
 

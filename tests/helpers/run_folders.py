@@ -25,7 +25,7 @@ def make_config(**changes: Any) -> dict[str, Any]:
         "name": "made",
         "seed": 7,
         "unit_categories": CATEGORIES,
-        "scale": {"resolution": 0.1, "scenes": {"test": len(SCENES)}},
+        "ego": {"resolution": 0.1},
         "data": {"scenes": {"_target_": "tests.sources.Rooms"}},
         "evaluation": {
             "approaches": {name: {} for name in APPROACHES},

@@ -27,7 +27,7 @@ def build(*overrides: str) -> nn.Module:
     """Build a unit from the configuration, at the scale of the tests."""
     torch.manual_seed(0)
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        config = compose("base", ["scale=test", *overrides])
+        config = compose("train", ["scale=test", *overrides])
     return instantiate(config.model.unit)
 
 
@@ -39,7 +39,7 @@ def batch_for(**sizes: int) -> dict[str, torch.Tensor]:
 @pytest.mark.parametrize("backbone", BACKBONES)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_unit_fulfils_its_contract(variant: str, backbone: str, encoder: str) -> None:
-    unit = build(f"+model={variant}", f"model/backbone={backbone}", *ENCODERS[encoder])
+    unit = build(f"model={variant}", f"model/backbone={backbone}", *ENCODERS[encoder])
     batch = batch_for()
     optimizer = torch.optim.SGD(unit.parameters(), lr=0.01)
     for _ in range(2):  # timm starts residual branches at zero: their gradients begin at the second step
@@ -64,7 +64,7 @@ def test_unit_fulfils_its_contract(variant: str, backbone: str, encoder: str) ->
 def test_tta_hflip_is_the_mean_over_both_flips(variant: str) -> None:
     augmented, plain = (
         build(
-            f"+model={variant}",
+            f"model={variant}",
             f"model.tta_hflip={tta_hflip}",
             "model.height_jitter=0",
             "model.postprocess_dilation=0",
@@ -87,7 +87,7 @@ def test_tta_hflip_is_the_mean_over_both_flips(variant: str) -> None:
 def test_postprocess_dilation_equals_opencv(variant: str, window: float, cells: int) -> None:
     raw, postprocessed = (
         build(
-            f"+model={variant}",
+            f"model={variant}",
             f"model.postprocess_dilation={size}",
             "model.height_jitter=0",
             "model.tta_hflip=false",
@@ -110,7 +110,7 @@ def test_postprocess_dilation_equals_opencv(variant: str, window: float, cells: 
 @pytest.mark.parametrize("cells", [9, 33, 87, 261])
 @pytest.mark.parametrize("backbone", BACKBONES)
 def test_grids_of_any_size_work(backbone: str, cells: int) -> None:
-    unit = build("+model=unit", f"model/backbone={backbone}", f"ego.extent={0.12 * cells}").eval()
+    unit = build("model=unit", f"model/backbone={backbone}", f"ego.extent={0.12 * cells}").eval()
     batch = batch_for(cells=cells, views=1)
     with torch.no_grad():
         assert unit(*inputs(batch)).shape == (1, 1, cells, cells)
@@ -118,21 +118,21 @@ def test_grids_of_any_size_work(backbone: str, cells: int) -> None:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_images_need_not_be_square_and_categories_may_share_a_unit(variant: str) -> None:
-    unit = build(f"+model={variant}", "camera.height=40", "unit_categories=[chair,bed,table]").eval()
+    unit = build(f"model={variant}", "camera.height=40", "unit_categories=[chair,bed,table]").eval()
     with torch.no_grad():
         assert unit(*inputs(batch_for(height=40))).shape == (2, 3, 31, 31)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_an_untrained_unit_imagines_little(variant: str) -> None:
-    unit = build(f"+model={variant}")
+    unit = build(f"model={variant}")
     with torch.no_grad():
         assert unit(*inputs(batch_for(views=4))).sigmoid().mean() < 0.25
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_input_affects_the_prediction(variant: str) -> None:
-    unit = build(f"+model={variant}").eval()
+    unit = build(f"model={variant}").eval()
     for name in ("rgb", "occupied", "seen"):
         batch = batch_for()
         changed = batch | {name: 1 - batch[name]}
@@ -143,11 +143,11 @@ def test_every_input_affects_the_prediction(variant: str) -> None:
 def test_units_of_a_module_get_the_gradients_of_training_alone() -> None:
     names = ["chair", "bed", "table"]
     exact = "model.height_jitter=0"  # random jitter would differ
-    module = build("+model=units", f"unit_categories=[{','.join(names)}]", exact)
+    module = build("model=units", f"unit_categories=[{','.join(names)}]", exact)
     batch = random_batch(size=48, cells=31, categories=3)
     WeightedBCE()(module(*inputs(batch)), batch["label"], batch["neighbourhood"]).loss.backward()
     for index, (name, unit) in enumerate(zip(names, module.units, strict=True)):
-        alone = build("+model=unit", f"unit_categories=[{name}]", exact)
+        alone = build("model=unit", f"unit_categories=[{name}]", exact)
         part = batch["label"][:, [index]], batch["neighbourhood"][:, [index]]
         WeightedBCE()(alone(*inputs(batch)), *part).loss.backward()
         for ours, expected in zip(unit.parameters(), alone.parameters(), strict=True):

@@ -157,7 +157,7 @@ def test_an_invalid_provenance_is_named(tmp_path: Path, text: str) -> None:
         ),
         ({"evaluation": {"resamples": 0}}, r"evaluation.resamples: got 0, expected a number in \[1"),
         ({"evaluation": {"viewpoint_sets": 10**12}}, "evaluation.viewpoint_sets: got 1000000000000"),
-        ({"scale": {"resolution": -1}}, "ego.resolution: got -1"),
+        ({"ego": {"resolution": -1}}, "ego.resolution: got -1"),
         ({"data": {"scenes": "rooms"}}, "data.scenes is damaged: got 'rooms'"),
         ({"unit_categories": "chair"}, "unit_categories is damaged: got 'chair', expected list"),
         (

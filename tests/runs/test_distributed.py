@@ -200,7 +200,7 @@ def test_a_killed_process_stops_the_job_which_resumes(command: Command, tmp_path
     assert Checkpoint.read(last).training_stats["samples"] == before * (epochs + 1) // epochs
     steps = read_state(last)["global_step"]
     assert (
-        steps * read_state(last)["imagination"]["values"]["scale"]["batch_size"]
+        steps * read_state(last)["imagination"]["values"]["data"]["batch_size"]
         == before * (epochs + 1) // epochs
     )
     epochs_logged = [event.step for event in events(last.parent.parent, "train/waiting")]

@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from imagination.callbacks.model_checkpoint import MovableCheckpoint
 from imagination.config.compose import compose
 from imagination.config.trust import check_targets
+from imagination.evaluation.checkpoint_config import evaluation_config
 from imagination.models.encoders import create
 from imagination.models.schedulers import CosineAnnealing
 from imagination.runs.checkpoint import KEY, Checkpoint, CheckpointFiles, ConfigInCheckpoint, read_state
@@ -78,6 +79,56 @@ def test_an_untrusted_checkpoint_names_no_code(
         Checkpoint.read(path).model()
 
 
+@pytest.mark.parametrize(
+    "override",
+    [
+        "paths.cache=/victim",
+        "cache={folder: /victim, max_gigabytes: 0.001}",
+        "cache.max_gigabytes=0.001",
+        "data.observer.cache.folder=/victim",
+        "data={observer: {cache: {folder: /victim}}}",
+        "data.module.shard_cache=/victim",
+        "callbacks.mapping_evaluation.folder=/victim",
+        "+callbacks.last_checkpoint.dirpath=/victim",
+        "logger.tensorboard.save_dir=/victim",
+        "trainer.devices=8",
+        "trainer.default_root_dir=/victim",
+        "hydra/launcher=joblib",
+        "hydra.run.dir=/victim",
+        "sweep=weights",
+    ],
+)
+def test_a_checkpoint_sets_only_keys_of_the_training_and_the_evaluation(
+    tmp_path: Path, override: str
+) -> None:
+    path = checkpoint(tmp_path / "best.ckpt")
+    state = read_state(path)
+    state[KEY]["choices"].append(override)
+    torch.save(state, path)
+    for read in (lambda: Checkpoint.read(path).config, lambda: evaluation_config([Checkpoint.read(path)], [])):
+        with pytest.raises(UserError) as error:
+            read()
+        assert override in str(error.value) and str(path) in str(error.value)
+
+
+def test_values_of_a_checkpoint_set_no_paths(tmp_path: Path) -> None:
+    path = checkpoint(tmp_path / "best.ckpt")
+    expected = Checkpoint.read(path).config
+    state = read_state(path)
+    cache = {"folder": "/victim", "max_gigabytes": 0.001}
+    values = state[KEY]["values"]
+    values["paths"] = {"outputs": "/victim", "cache": "/victim", "run": "/victim"}
+    values["cache"] = values["data"]["observer"]["cache"] = values["data"]["module"]["observer"]["cache"] = cache
+    values["callbacks"]["mapping_evaluation"]["folder"] = values["trainer"]["default_root_dir"] = "/victim"
+    values["trainer"]["devices"] = 64
+    values["model"]["width"] = 8
+    torch.save(state, path)
+    read = Checkpoint.read(path).config
+    assert "/victim" not in OmegaConf.to_yaml(read)
+    assert read.trainer.devices == 1 and read.cache == expected.cache
+    assert read.model.width == read.model.backbone.width == 8  # a value of the training is taken
+
+
 def test_a_checkpoint_of_pretrained_weights_needs_no_download(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -116,7 +167,7 @@ def test_damaged_checkpoints_are_refused(tmp_path: Path) -> None:
 
 def test_a_checkpoint_of_another_model_is_refused(tmp_path: Path) -> None:
     values = ConfigInCheckpoint(config()).saved_config["values"]
-    values["scale"]["unit_width"] = values["model"]["backbone"]["width"] = 8
+    values["model"]["width"] = 8
     for unit in (values["model"]["unit"], values["model"]["module"]["unit"]):
         unit["backbone"]["width"] = 8
     path = checkpoint(tmp_path / "a.ckpt", {"choices": JOB, "values": values})
