@@ -127,6 +127,7 @@ KEYS: Mapping[str, Key] = {
     # model
     "model.optimizer.lr": _training(0.0, 10.0, old=("scale.learning_rate",)),
     "model.final_learning_rate": _training(0.0, 10.0, old=("scale.final_learning_rate",)),
+    "model.schedule_epochs": _training(1, LARGE, "epochs"),
     "model.width": _training(1, 1024, "channels", old=("scale.unit_width",)),
     "model.encoder_shrink": _training(1, 64, old=("scale.encoder_shrink",)),
     "model.heights": Key(Role.TRAINING, unit="m", old=("scale.heights",)),
@@ -202,10 +203,14 @@ KEYS: Mapping[str, Key] = {
     "callbacks": Key(Role.EXECUTION),
     "viewer.max_frames": Key(Role.EXECUTION, old=("viewer.most",)),
     "logger": Key(Role.EXECUTION),
+    "extras": Key(Role.EXECUTION),
     "hydra": Key(Role.EXECUTION),
     "program": Key(Role.EXECUTION),
     # which
     "choices": Key(Role.COMMAND),
+    "train": Key(Role.COMMAND),
+    "test": Key(Role.COMMAND),
+    "optimized_metric": Key(Role.COMMAND),
     "ckpt": Key(Role.COMMAND),
     "ckpt_path": Key(Role.COMMAND, resumable=True),
     "resume": Key(Role.COMMAND, resumable=True),
@@ -221,7 +226,7 @@ without such a node it changes the training, as the keys of plugins do."""
 CELL_WIDTH = (0.1, 100.0, "m")
 """Range of the values in evaluation.cell_widths."""
 
-OPTIONAL_GROUPS = ("experiment", "sweep", "hparams_search", "study")
+OPTIONAL_GROUPS = ("experiment", "sweep", "hparams_search", "study", "debug")
 """Groups without a default option. `+experiment=chair_unet` is read as `experiment=chair_unet`."""
 
 

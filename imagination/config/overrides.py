@@ -34,13 +34,20 @@ def result_overrides(overrides: Sequence[str]) -> list[str]:
     return [text for text in overrides if affects_results(text)]
 
 
-def without_plus(override: str) -> str:
-    """Return `+group=option` of an optional group as `group=option`, because Hydra refuses the plus for such a group.
+def normalized(words: Sequence[str]) -> list[str]:
+    """Return the words of a command line with the overrides of groups that Hydra refuses in the form that it accepts.
 
-    >>> without_plus("+experiment=chair_unet"), without_plus("+trainer.profiler=simple")
-    ('experiment=chair_unet', '+trainer.profiler=simple')
+    `+group=option` of an optional group has no plus, `group=null` of an optional group is left out, and `logger=null`
+    deletes the group.
+
+    >>> normalized(["+experiment=chair_unet", "sweep=null", "logger=null", "+trainer.profiler=simple"])
+    ['experiment=chair_unet', '~logger', '+trainer.profiler=simple']
     """
-    return override.lstrip("+") if override_key(override) in OPTIONAL_GROUPS else override
+    without_plus = [
+        word.lstrip("+") if override_key(word) in (*OPTIONAL_GROUPS, "logger") else word for word in words
+    ]
+    chosen = [word for word in without_plus if word not in {f"{group}=null" for group in OPTIONAL_GROUPS}]
+    return ["~logger" if word == "logger=null" else word for word in chosen]
 
 
 def set_keys(override: str) -> list[str]:

@@ -13,13 +13,14 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from imagination.config.overrides import sweeps, without_plus
+from imagination.config.overrides import normalized, sweeps
 from imagination.config.plugin_registry import core_conf, discover
 from imagination.config.renamed_keys import check_renamed
 from imagination.config.search_path import register_plugins
 from imagination.config.unknown_keys import check_added_keys, unknown_keys_reported
 from imagination.config.user_messages import user_errors_reported
 from imagination.config.validation import validate
+from imagination.runs.extras import apply_extras
 from imagination.runs.sweep import run_job
 from imagination.utils.errors import UserError
 
@@ -47,6 +48,8 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 return run_job(task, config)
             with user_errors_reported():
+                if "extras" in config:
+                    apply_extras(config)
                 check_added_keys(config_name, list(HydraConfig.get().overrides.task))
                 (check or validate)(config)
                 return task(config)
@@ -62,7 +65,7 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
                     )
             register_plugins()
             with user_errors_reported():
-                sys.argv[1:] = map(without_plus, sys.argv[1:])
+                sys.argv[1:] = normalized(sys.argv[1:])
                 check_renamed(config_name, sys.argv[1:])
                 if check is not None and any(map(sweeps, sys.argv[1:])):
                     raise UserError(

@@ -59,6 +59,7 @@ def check_sizes(experiment: str, scale: str, overrides: list[str]) -> None:
         "trainer.max_epochs": "hrnet.max_epochs",
         "trainer.check_val_every_n_epoch": "hrnet.check_val_every_n_epoch",
         "data.micro_batches": "hrnet.micro_batches",
+        "model.final_learning_rate": "hrnet.final_learning_rate",
     }
     for key, value in sizes.items():
         source = baseline.get(key, key) if experiment == "segmentation_hrnet" else key

@@ -96,15 +96,24 @@ def test_an_accumulated_batch_trains_as_a_whole_one() -> None:
     torch.testing.assert_close(*weights, rtol=1e-4, atol=1e-6)
 
 
-def test_a_loss_that_needs_the_whole_batch_is_refused_with_accumulation() -> None:
+class MicroBatches(lightning.LightningDataModule):
+    """Data module that splits batches."""
+
+    micro_batches = 2
+
+    def train_dataloader(self) -> DataLoader:
+        return loader(2)
+
+
+def test_a_loss_that_needs_the_whole_batch_is_refused_with_micro_batches() -> None:
     module = training()
     module.loss = BCEDice()
     trainer = lightning.Trainer(
         max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
-        enable_model_summary=False, accumulate_grad_batches=2,
+        enable_model_summary=False,
     )  # fmt: skip
     with pytest.raises(UserError, match=r"data.micro_batches: got 2.*BCEDice"):
-        trainer.fit(module, loader(2))
+        trainer.fit(module, datamodule=MicroBatches())
 
 
 @pytest.mark.parametrize("kind", [ImaginationUnit, ProjectedUnit])
