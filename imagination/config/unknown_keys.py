@@ -44,7 +44,8 @@ def unknown_keys_reported(config_name: str) -> Iterator[None]:
     except ConfigCompositionException as error:
         if match := NO_KEY.search(str(error)):
             raise _unknown(config_name, match[1], _names(config_name)) from error
-        if (match := NO_OPTION.search(str(error))) and (options := _options(match[1])):
+        match = NO_OPTION.search(str(error))
+        if match and not match[1].startswith("hydra/") and (options := _options(match[1])):
             raise UserError(
                 f"{match[1]}: got {match[2]!r}, which is no option of this group; expected one of: "
                 f"{', '.join(options)}{_did_you_mean(get_close_matches(match[2], options))}"

@@ -82,7 +82,7 @@ def test_views_of_another_camera_are_refused(dataset: Path, tmp_path: Path) -> N
     other = replace(watcher, camera=replace(watcher.camera, mount_height=1.0))
     with pytest.raises(UserError, match="camera .*1.25.*expected .*1.0"):
         opened(dataset).check(other)
-    with pytest.raises(UserError, match=r"scale\.update_interval = 5"):
+    with pytest.raises(UserError, match=r"update_interval = 5"):
         ShardCollector(opened(dataset), SCENES, 0, 2, steps=5)
 
 
