@@ -47,10 +47,8 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
     def decorate(task: Task) -> Callable[[], None]:
         @wraps(task)
         def checked(config: DictConfig) -> float | None:
-            if "sweep_dir" in config:
-                config.sweep_dir = (
-                    None  # Hydra holds it from here on; its date must not enter the run's config
-                )
+            if "sweep_dir" in config:  # Hydra holds it from here on; its date must not enter the run's config
+                config.sweep_dir = None
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 return run_job(task, config)
             with user_errors_reported():

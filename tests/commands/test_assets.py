@@ -21,7 +21,7 @@ from imagination_sweethome3d.assets import FurniturePackage, examine  # noqa: E4
     [
         ([], ["name: got none", "sweethome3d", "imagination.assets name=sweethome3d"]),
         (["name=attic"], ["name: got 'attic'", "sweethome3d"]),
-        (["name=sweethome3d", "deep=true"], ["deep", "is not in struct"]),
+        (["name=sweethome3d", "deep=true"], ["deep"]),
         (["sweethome3d", "list=true"], ["imagination.assets name=sweethome3d list=true"]),
     ],
 )
