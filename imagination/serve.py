@@ -8,9 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from imagination.config.plugin_registry import activate
 from imagination.deployment import mapper_from_config
 from imagination.geometry.rgbd import RgbdCamera
 from imagination.mapping.semantic_mapper import SemanticMapper
@@ -18,7 +20,7 @@ from imagination.runs.command import command
 from imagination.runs.folder import CONFIG, create_folder, point_latest, timestamp
 from imagination.runs.logging import logging_to
 from imagination.utils.atomic_io import write_text
-from imagination.utils.errors import UserError
+from imagination.utils.errors import UserError, check_choice
 
 log = logging.getLogger(__name__)
 
@@ -44,12 +46,27 @@ def validate(config: DictConfig) -> None:
     Raises:
         UserError: if no plugin provides the server, or a value is missing or out of range.
     """
-    if "server" not in config:
-        raise UserError(
-            "server: got none, and no plugin provides zenoh; copy plugins/ros of the repository into plugins/ of this "
-            "folder, and pip install 'imagination[ros]'"
-        )
+    if (
+        "server" not in config
+    ):  # Hydra leaves out an option that does not exist, because the group is optional
+        check_server(HydraConfig.get().runtime.choices["server"])
     mapper_from_config.validate(config)
+
+
+def check_server(name: str) -> None:
+    """Check that a plugin provides a server.
+
+    Raises:
+        UserError: if none does, with the servers that exist or the way to get one.
+    """
+    options = [option.split("/") for plugin in activate() for option in plugin.options]
+    servers = [option for group, *_, option in options if group == "server"]
+    if not servers:
+        raise UserError(
+            f"server: got {name!r}, expected a server of a plugin; copy plugins/ros of the repository into plugins/ of "
+            "this folder, and pip install 'imagination[ros]'"
+        )
+    check_choice("server", name, servers)
 
 
 @command("serve", validate)

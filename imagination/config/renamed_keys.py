@@ -131,8 +131,8 @@ def as_overrides(command: str, words: Sequence[str]) -> list[str]:
         option, equals, value = word.partition("=")
         if key := OPTION_KEYS.get((command, before)):
             result[-1] = assignment(key, word)
-        elif equals and (key := OPTION_KEYS.get((command, option))):
-            result.append(assignment(key, value))
+        elif key := OPTION_KEYS.get((command, option)):
+            result.append(assignment(key, value or "PAGE"))
         elif (key := POSITIONAL_KEYS.get(command)) and not (equals or "-" in (word[:1], before[:1])):
             result.append(assignment(key, word))
         else:

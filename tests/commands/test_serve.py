@@ -1,9 +1,8 @@
 """Errors of the command that maps live images; tests/plugins/ros maps with a server."""
 
 import pytest
-from omegaconf import OmegaConf
 
-from imagination.serve import validate
+from imagination.serve import check_server
 from imagination.utils.errors import UserError
 from tests.conftest import Command
 
@@ -12,7 +11,7 @@ from tests.conftest import Command
     ("arguments", "message"),
     [
         ([], "unit: got none"),
-        (["server=nothing", "unit=a.onnx"], "rclpy"),
+        (["server=nothing", "unit=a.onnx"], "server: got 'nothing', expected one of: rclpy"),
         (["unit=a.onnx", "threshold=2"], "threshold: got 2"),
         (["unit=a.onnx,b.onnx", "-m"], "-m: imagination.serve "),
     ],
@@ -23,6 +22,7 @@ def test_user_errors_get_one_message(command: Command, arguments: list[str], mes
     assert done.stderr.startswith("error: ") and message in done.stderr
 
 
-def test_without_a_plugin_with_a_server_the_remedy_is_named() -> None:
-    with pytest.raises(UserError, match="server: got none.*plugins/ros"):
-        validate(OmegaConf.create({"name": "serve", "unit": "a.onnx"}))
+def test_without_a_plugin_with_a_server_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imagination.serve.activate", list)
+    with pytest.raises(UserError, match="server: got 'zenoh'.*plugins/ros"):
+        check_server("zenoh")

@@ -88,6 +88,7 @@ def test_commands_refuse_old_names(command: Command) -> None:
         ("report", ["outputs/made/latest"], ["folder=outputs/made/latest"]),
         ("report", ["a", "--docs", "docs/b"], ["folder=a", "docs=docs/b"]),
         ("report", ["--docs=docs/b", "a"], ["docs=docs/b", "folder=a"]),
+        ("report", ["a", "--docs"], ["folder=a", "docs=PAGE"]),
         ("report", ["my run"], ["folder='my run'"]),
         ("assets", ["sweethome3d", "list=true"], ["name=sweethome3d", "list=true"]),
         ("map", ["recording=tum", "--preview"], ["recording=tum", "viewer=preview"]),
