@@ -1,7 +1,7 @@
 """Draw docs/pictures/source-*.png, one scene of each source: `PYTHONPATH=. python docs/scene_sources.py [NAME …]`.
 
 Sources whose data cannot be shipped are drawn from the tiny buildings of the tests. `sweethome3d_furniture` needs the
-downloaded furniture (`python -m imagination.assets sweethome3d`).
+downloaded furniture (`python -m imagination.assets name=sweethome3d`).
 """
 
 import sys

@@ -1,17 +1,17 @@
-"""Download or list the assets of plugins: `python -m imagination.assets sweethome3d`."""
+"""Download or list the assets of plugins: `python -m imagination.assets name=sweethome3d`."""
 
-import sys
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from hydra.utils import get_class
+from omegaconf import DictConfig, OmegaConf
+
 from imagination.config.plugin_registry import provided
+from imagination.runs.command import command
 from imagination.utils.errors import UserError, check_choice
 
 GROUP = "assets"
 """Config group in which plugins register providers: the `_target_` of each file is a class without arguments."""
-
-USAGE = "python -m imagination.assets NAME [list=true | list=FOLDER]"
-"""Usage message."""
 
 
 @runtime_checkable
@@ -36,35 +36,38 @@ class Provider(Protocol):
         """
 
 
-def main(arguments: list[str]) -> None:
-    """Run the command.
+def validate(config: DictConfig) -> None:
+    """Check that a plugin provides the assets.
 
     Raises:
-        UserError: if a name or an argument is unknown, or the provider fails.
+        UserError: if no name is given, or no plugin provides assets of that name.
     """
-    targets = {name: target for _, name, target in provided(GROUP)}
-    if not arguments:
-        print(f"{USAGE}\nNAME is one of: {', '.join(sorted(targets)) or '(no plugin provides assets)'}")
-        return
-    name, *rest = arguments
+    targets = providers()
     if not targets:
-        raise UserError(f"assets: got {name!r}, but no plugin provides assets; add a plugin to plugins/")
-    check_choice("assets", name, targets)
-    if len(rest) > 1 or not all(text.startswith("list=") for text in rest):
-        raise UserError(f"assets: got {' '.join(rest)}, expected list=true, list=FOLDER or nothing")
-    from hydra.utils import get_class
+        raise UserError("name: found no plugin that provides assets; add a plugin to plugins/")
+    if OmegaConf.is_missing(config, "name") or not config.name:
+        raise UserError(
+            f"name: got none, expected one of: {', '.join(sorted(targets))}; for example "
+            f"python -m imagination.assets name={min(targets)}"
+        )
+    check_choice("name", str(config.name), targets)
 
-    provider: Provider = get_class(targets[name])()
-    if rest:
-        value = rest[0].removeprefix("list=")
-        print("\n".join(provider.listing(None if value == "true" else Path(value))))
-    else:
+
+def providers() -> dict[str, str]:
+    """Return the `_target_` of each provider by name."""
+    return {name: target for _, name, target in provided(GROUP)}
+
+
+@command("assets", validate)
+def main(config: DictConfig) -> None:
+    """Download assets, or list them or a folder of scene files."""
+    provider: Provider = get_class(providers()[str(config.name)])()
+    if not config["list"]:
         print(provider.fetch())
+    else:
+        folder = None if config["list"] is True else Path(str(config["list"]))
+        print("\n".join(provider.listing(folder)))
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    main()

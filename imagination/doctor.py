@@ -7,7 +7,10 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from omegaconf import DictConfig
+
 from imagination.config.plugin_registry import discover, provided
+from imagination.runs.command import command
 from imagination.utils.diagnostics import Finding
 
 GROUP = "doctor"
@@ -71,18 +74,16 @@ def _run_check(plugin: str, target: str) -> Iterator[Finding]:
         yield Finding(f"plugin {plugin}", False, f"{target}: {type(error).__name__}: {error}")
 
 
-def main() -> int:
-    """Print all findings; return the exit code 1 if a requirement is not met."""
+@command("doctor", lambda config: None)
+def main(config: DictConfig) -> None:
+    """Print all findings; exit with code 1 if a requirement is not met."""
     findings = [*check_machine(), *check_plugins()]
     marks = {True: "ok", None: "--", False: "!!"}
     width = max(len(finding.name) for finding in findings)
     for finding in findings:
         print(f"{marks[finding.good]}  {finding.name:{width}}  {finding.message}")
-    return int(any(finding.good is False for finding in findings))
+    sys.exit(any(finding.good is False for finding in findings))
 
 
 if __name__ == "__main__":
-    # import under the real name, because plugins import this module
-    from imagination.doctor import main as run
-
-    sys.exit(run())
+    main()

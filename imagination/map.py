@@ -101,5 +101,4 @@ def map_frames(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
 
 
 if __name__ == "__main__":
-    sys.argv = ["viewer=preview" if word == "--preview" else word for word in sys.argv]
     main()

@@ -3,36 +3,40 @@
 import sys
 from pathlib import Path
 
-from imagination.config.plugin_registry import GROUP, activate, check, discover
+from omegaconf import DictConfig
+
+from imagination.config import plugin_registry
+from imagination.runs.command import command
 from imagination.utils.errors import UserError
 
 
-def main(arguments: list[str]) -> int:
-    """List all plugins; with `check=true`, import their code and return the exit code 1 if one is broken.
+def validate(config: DictConfig) -> None:
+    """Check the values of the config.
 
     Raises:
-        UserError: if an argument is unknown.
+        UserError: if `check` is not a Boolean.
     """
-    if unknown := set(arguments) - {"check=true", "check=false"}:
-        raise UserError(f"plugins: got {' '.join(sorted(unknown))}, expected check=true or nothing")
-    import_code = "check=true" in arguments
-    activate()
-    plugins = discover()
+    if not isinstance(config.check, bool):
+        raise UserError(f"check: got {config.check!r}, expected true or false")
+
+
+@command("plugins", validate)
+def main(config: DictConfig) -> None:
+    """List all plugins; with `check=true`, import their code and exit with code 1 if one is broken."""
+    plugin_registry.activate()
+    plugins = plugin_registry.discover()
     for plugin in plugins:
-        if import_code and not plugin.problem:
-            plugin.problem = check(plugin)
+        if config.check and not plugin.problem:
+            plugin.problem = plugin_registry.check(plugin)
         status = f"left out: {plugin.problem}" if plugin.problem else "adds " + ", ".join(plugin.options)
         print(f"{plugin.name}  ({plugin.origin})\n    {status}")
     if not plugins:
         print(
             f"No plugins: found no folder {Path.cwd() / 'plugins'}/NAME and no distribution with the entry point "
-            f"{GROUP}."
+            f"{plugin_registry.GROUP}."
         )
-    return int(import_code and any(plugin.problem for plugin in plugins))
+    sys.exit(config.check and any(plugin.problem for plugin in plugins))
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(sys.argv[1:]))
-    except UserError as error:
-        sys.exit(str(error))
+    main()

@@ -16,10 +16,10 @@ from imagination.runs.logging import logging_to
 from imagination.scenes.source import SPLITS, Split
 from imagination.utils.errors import UserError, check_choice, check_range, require_extra
 from imagination.utils.progress import progress
-from imagination.views.observer import Observer
 
 if TYPE_CHECKING:  # imports torch, which --help does not need
     from imagination.data.shards.writer import ShardSpec
+    from imagination.views.observer import Observer
 
 log = logging.getLogger(__name__)
 

@@ -1,25 +1,26 @@
 """Write the ground truth and views of a scene as arrays and images: `python -m imagination.render scene=test_0000`."""
 
+from __future__ import annotations
+
 import logging
 import re
 import sys
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
-import numpy as np
 from hydra.utils import instantiate
-from matplotlib.figure import Figure
 from omegaconf import DictConfig
 
-from imagination.geometry.morphology import kernel_cells
-from imagination.ground_truth import visualization
-from imagination.reporting.scene_summary import Kernels, choose_views, stack, summary
 from imagination.runs.command import command
 from imagination.runs.logging import logging_to
 from imagination.scenes.source import SPLITS, Split
 from imagination.utils.atomic_io import replacing, write_npz
 from imagination.utils.errors import check_choice, check_range
-from imagination.views.observer import Observer
+
+if TYPE_CHECKING:  # imports matplotlib and numba, which --help does not need
+    from matplotlib.figure import Figure
+
+    from imagination.views.observer import Observer
 
 log = logging.getLogger(__name__)
 
@@ -46,6 +47,12 @@ def folder_name(scene: str) -> str:
 
 def write_scene(config: DictConfig, observer: Observer, name: str, folder: Path) -> None:
     """Write arrays, images and a summary of one scene."""
+    import numpy as np
+
+    from imagination.geometry.morphology import kernel_cells
+    from imagination.ground_truth import visualization
+    from imagination.reporting.scene_summary import Kernels, choose_views, stack, summary
+
     scene, gt = observer.scene(name), observer.ground_truth(name)
     folder.mkdir(parents=True, exist_ok=True)
     with logging_to(folder / "render.log"):

@@ -1,35 +1,49 @@
-"""Report on a run, an evaluation, a study or a sweep: `python -m imagination.report outputs/chair_unet/latest`.
+"""Report on a run, an evaluation, a study or a sweep: `python -m imagination.report folder=outputs/chair_unet/latest`.
 
 Writes a self-contained page report.html into the folder, with tables/ (CSV, Markdown, LaTeX) and figures/ (PNG, PDF).
-`--docs docs/study` writes a Markdown page docs/study.md with figures in docs/study/ instead.
+`docs=docs/study` writes a Markdown page docs/study.md with figures in docs/study/ instead.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imagination.config.user_messages import user_errors_reported
+from omegaconf import DictConfig, OmegaConf
+
+from imagination.runs.command import command
 from imagination.utils.errors import UserError
 
 if TYPE_CHECKING:  # imports matplotlib, which --help does not need
     from imagination.reporting.content import Content
 
 
-def main(arguments: list[str]) -> None:
-    """Run the command."""
-    parser = argparse.ArgumentParser("python -m imagination.report", description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", type=Path, help="folder of a run, an evaluation, a study or a sweep")
-    parser.add_argument(
-        "--docs", type=Path, metavar="PAGE", help="write PAGE.md with figures in PAGE/ instead"
-    )
-    options = parser.parse_args(arguments)
+def validate(config: DictConfig) -> None:
+    """Check that the config names a folder.
+
+    Raises:
+        UserError: if it does not.
+    """
+    if OmegaConf.is_missing(config, "folder") or not config.folder:
+        raise UserError(
+            "folder: got none, expected the results of a run, an evaluation, a study or a sweep: "
+            "folder=outputs/chair_unet/latest"
+        )
+
+
+@command("report", validate)
+def main(config: DictConfig) -> None:
+    """Write the report."""
+    write(Path(str(config.folder)), None if config.docs is None else Path(str(config.docs)))
+
+
+def write(folder: Path, docs: Path | None = None) -> None:
+    """Write the report on a results folder into that folder, or as a page of the documentation."""
     from imagination.reporting import html, markdown
 
-    content = read(options.folder)
-    page = markdown.write(options.docs, content) if options.docs else html.write(options.folder, content)
+    content = read(folder)
+    page = markdown.write(docs, content) if docs else html.write(folder, content)
     for problem in content.problems:
         print(f"incomplete: {problem}", file=sys.stderr)
     print(f"Report: {page}", file=sys.stderr)
@@ -49,7 +63,7 @@ def read(folder: Path) -> Content:
 
     if not folder.is_dir():
         raise UserError(
-            f"report: got {folder}, expected an existing results folder such as outputs/chair_unet/latest"
+            f"folder: got {folder}, expected an existing results folder such as outputs/chair_unet/latest"
         )
     if not (folder / CONFIG).is_file() and is_multirun(folder):
         return of_multirun(Multirun(folder))
@@ -57,5 +71,4 @@ def read(folder: Path) -> Content:
 
 
 if __name__ == "__main__":
-    with user_errors_reported():
-        main(sys.argv[1:])
+    main()

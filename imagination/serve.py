@@ -8,10 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from imagination.config.plugin_registry import discover
+from imagination.config.plugin_registry import activate
 from imagination.deployment import mapper_from_config
 from imagination.geometry.rgbd import RgbdCamera
 from imagination.mapping.semantic_mapper import SemanticMapper
@@ -19,6 +20,7 @@ from imagination.runs.command import command
 from imagination.runs.folder import CONFIG, create_folder, point_latest, timestamp
 from imagination.runs.logging import logging_to
 from imagination.utils.atomic_io import write_text
+from imagination.utils.errors import UserError, check_choice
 
 log = logging.getLogger(__name__)
 
@@ -38,8 +40,37 @@ class Server(Protocol):
         """
 
 
-@command("serve", mapper_from_config.validate)
-def serve(config: DictConfig) -> None:
+def validate(config: DictConfig) -> None:
+    """Check the values of the config before any file is read.
+
+    Raises:
+        UserError: if no plugin provides the server, or a value is missing or out of range.
+    """
+    if (
+        "server" not in config
+    ):  # Hydra leaves out an option that does not exist, because the group is optional
+        check_server(HydraConfig.get().runtime.choices["server"])
+    mapper_from_config.validate(config)
+
+
+def check_server(name: str) -> None:
+    """Check that a plugin provides a server.
+
+    Raises:
+        UserError: if none does, with the servers that exist or the way to get one.
+    """
+    options = [option.split("/") for plugin in activate() for option in plugin.options]
+    servers = [option for group, *_, option in options if group == "server"]
+    if not servers:
+        raise UserError(
+            f"server: got {name!r}, expected a server of a plugin; copy plugins/ros of the repository into plugins/ of "
+            "this folder, and pip install 'imagination[ros]'"
+        )
+    check_choice("server", name, servers)
+
+
+@command("serve", validate)
+def main(config: DictConfig) -> None:
     """Map until interrupted, then save the map."""
     predictor = mapper_from_config.predictor_of(config)
     # checks the config before the server starts
@@ -65,17 +96,6 @@ def serve(config: DictConfig) -> None:
             else:
                 log.error("error: no frame was mapped, so no map is saved")
     sys.exit(0 if mappers and mappers[-1].frames else 1)
-
-
-def main() -> None:
-    """Run the command, if a plugin provides a server."""
-    options = [option for plugin in discover() if not plugin.problem for option in plugin.options]
-    if not any(option.startswith("server/") for option in options):
-        sys.exit(
-            "error: serve: found no plugin with a server; copy plugins/ros of the repository into plugins/ of this "
-            "folder, and pip install 'imagination[ros]'"
-        )
-    serve()
 
 
 if __name__ == "__main__":

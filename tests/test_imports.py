@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from imagination.__main__ import commands
+from imagination.config.plugin_registry import discover
 from tests.conftest import ROOT
 
 TORCH_FREE = "geometry scenes ground_truth views mapping recordings viewers"
@@ -48,30 +50,56 @@ def test_geometry_and_mapping_need_no_torch() -> None:
     assert int(done.stdout) > 15
 
 
-def test_importing_commands_does_not_import_torch() -> None:
-    code = "import sys, imagination.{0}; sys.exit('torch' in sys.modules or 'lightning' in sys.modules)"
-    for name in ("train", "evaluate", "render", "map", "export", "serve"):
-        done = python(code.format(name))
-        assert done.returncode == 0, (name, done.stderr)
+HEAVY = {"torch", "lightning", "timm", "matplotlib", "torchmetrics", "onnxruntime"}
 
 
-@pytest.mark.parametrize("arguments", [("imagination.train", "--help"), ("imagination.plugins",)])
-def test_help_and_plugin_listing_import_no_torch(arguments: tuple[str, ...], tmp_path: Path) -> None:
-    """Both answer at once; the benchmark `startup` measures how fast."""
+def imported_by(folder: Path, *arguments: str) -> set[str]:
+    """Names of all modules that `python -m <arguments>` imports."""
     done = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", *arguments],
-        cwd=tmp_path,
+        cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         timeout=120,
     )
     assert done.returncode == 0, done.stderr
-    imported = {
-        line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if "import time:" in line
+    assert done.stdout
+    return {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if "import time:" in line}
+
+
+def plugin_modules(modules: set[str]) -> set[str]:
+    """Modules of plugins among the names of modules."""
+    packages = {package for plugin in discover() for package in plugin.packages}
+    packages |= {
+        f"hydra_plugins.{path.parent.name}" for path in ROOT.glob("plugins/*/hydra_plugins/*/__init__.py")
     }
-    assert "imagination.config.plugin_registry" in imported
-    assert not imported & {"torch", "lightning", "timm", "matplotlib"}
+    assert {"imagination_sweethome3d", "imagination_scans", "hydra_plugins.imagination_ray"} <= packages
+    return {name for name in modules if any(f"{name}.".startswith(f"{package}.") for package in packages)}
+
+
+@pytest.mark.parametrize("name", commands())
+def test_help_imports_no_torch_and_no_plugin(name: str, example_plugin: Path, tmp_path: Path) -> None:
+    """The benchmark `startup` measures how fast it is."""
+    modules = imported_by(tmp_path, f"imagination.{name}", "--help")
+    assert {"hydra", "imagination.config.plugin_registry"} <= modules
+    assert not modules & HEAVY
+    assert not plugin_modules(modules)
+    assert {path.name for path in tmp_path.iterdir()} == {"plugins"}
+
+
+def test_the_list_of_plugins_imports_no_torch_and_no_plugin(example_plugin: Path, tmp_path: Path) -> None:
+    modules = imported_by(tmp_path, "imagination.plugins")
+    assert "imagination.config.plugin_registry" in modules
+    assert not modules & HEAVY
+    assert not plugin_modules(modules)
+    assert plugin_modules(imported_by(tmp_path, "imagination.plugins", "check=true"))
+
+
+def test_the_list_of_commands_imports_only_the_standard_library(tmp_path: Path) -> None:
+    modules = imported_by(tmp_path, "imagination")
+    assert not modules & (HEAVY | {"hydra", "omegaconf", "numpy", "yaml"})
+    assert {name for name in modules if name.startswith("imagination.")} == {"imagination.__main__"} & modules
 
 
 def test_shapes_are_checked() -> None:

@@ -66,6 +66,17 @@ def _plain(value: Any) -> Any:
     return {str(name): _plain(item) for name, item in value.items()} if isinstance(value, dict) else value
 
 
+def assignment(key: str, text: str) -> str:
+    """Return the override that sets a key to a text, in quotes if Hydra would not read it as it is.
+
+    >>> assignment("folder", "outputs/made/latest"), assignment("folder", "my runs")
+    ('folder=outputs/made/latest', "folder='my runs'")
+    """
+    if re.fullmatch(r"[\w/.:+@%-]+", text, re.ASCII):
+        return f"{key}={text}"
+    return f"{key}='" + text.replace("'", "\\'") + "'"
+
+
 def override_key(override: str) -> str:
     """Return the key or group that an override sets."""
     return override.lstrip("+~").partition("=")[0]

@@ -1,9 +1,11 @@
-"""Refuse configuration keys and options of earlier versions, with the new name."""
+"""Refuse configuration keys, options and arguments of earlier versions, with the new form."""
 
 import re
-from collections.abc import Iterable, Mapping
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
 
 from imagination.config.key_roles import KEYS
+from imagination.config.overrides import assignment
 from imagination.utils.errors import UserError
 
 RENAMED_KEYS: Mapping[str, str] = {old: key for key, row in KEYS.items() for old in row.old}
@@ -53,9 +55,18 @@ REMOVED_KEYS: Mapping[tuple[str, ...], Mapping[str, str]] = {
 }
 """Keys of commands that are gone, with the reason."""
 
+POSITIONAL_KEYS: Mapping[str, str] = {"report": "folder", "assets": "name"}
+"""Key that replaces a word without a key, by command."""
+
+OPTION_KEYS: Mapping[tuple[str, str], str] = {("report", "--docs"): "docs"}
+"""Key that replaces an option with a value, by command and option."""
+
+FLAGS: Mapping[tuple[str, str], str] = {("map", "--preview"): "viewer=preview"}
+"""Override that replaces an option without a value, by command and option."""
+
 
 def check_renamed(command: str, overrides: Iterable[str]) -> None:
-    """Check that overrides use no key or option of an earlier version.
+    """Check that a command line uses no key, option or argument of an earlier version.
 
     Args:
         command: name of the command, such as "train".
@@ -64,7 +75,13 @@ def check_renamed(command: str, overrides: Iterable[str]) -> None:
     Raises:
         UserError: with the old name and the new one.
     """
-    for text in overrides:
+    words = list(overrides)
+    if (new_words := as_overrides(command, words)) != words:
+        raise UserError(
+            f"{command}: got {shlex.join(words)}, expected key=value: python -m imagination.{command} "
+            f"{shlex.join(new_words)}"
+        )
+    for text in words:
         name, equals, value = text.lstrip("+~").partition("=")
         if not (equals or text.startswith("~")) or not re.match(r"[A-Za-z]", name):
             continue
@@ -100,3 +117,25 @@ def renamed(key: str) -> str:
     for pattern, replacement in RENAMED_PATTERNS.items():
         key = re.sub(rf"^{pattern}(?=\.|$)", replacement, key)
     return key
+
+
+def as_overrides(command: str, words: Sequence[str]) -> list[str]:
+    """Return a command line with the arguments of earlier versions as overrides, apart from values of Hydra's options.
+
+    >>> as_overrides("report", ["outputs/made/latest", "--docs", "docs/study"])
+    ['folder=outputs/made/latest', 'docs=docs/study']
+    """
+    result: list[str] = []
+    before = ""
+    for word in words:
+        option, equals, value = word.partition("=")
+        if key := OPTION_KEYS.get((command, before)):
+            result[-1] = assignment(key, word)
+        elif key := OPTION_KEYS.get((command, option)):
+            result.append(assignment(key, value or "PAGE"))
+        elif (key := POSITIONAL_KEYS.get(command)) and not (equals or "-" in (word[:1], before[:1])):
+            result.append(assignment(key, word))
+        else:
+            result.append(FLAGS.get((command, word), word))
+        before = word
+    return result

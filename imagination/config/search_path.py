@@ -32,9 +32,14 @@ def hydra_initialized() -> Iterator[None]:
         yield
 
 
-def register_plugins() -> None:
-    """Add the conf trees of plugins to the search path of Hydra."""
-    activate()  # before Hydra searches the importable packages for launchers
+def register_plugins(*, launchers: bool = True) -> None:
+    """Add the conf trees of plugins to the search path of Hydra.
+
+    Args:
+        launchers: whether Hydra searches the plugins for launchers of sweeps, which imports code of the plugins.
+    """
+    if launchers:
+        activate()  # before Hydra searches the importable packages
     if _SearchPath not in Plugins.instance().discover(SearchPathPlugin):
         Plugins.instance().register(_SearchPath)
     # the only store is read-only, but --help would copy it for each of a hundred config groups

@@ -8,7 +8,16 @@ from itertools import product
 from imagination.evaluation.metrics import CONFIDENCE, interval
 from imagination.evaluation.records import Key
 from imagination.evaluation.single_views import ranked_by
-from imagination.reporting.content import Content, Drawing, Plain, Section, as_yaml, facts, trainings
+from imagination.reporting.content import (
+    Content,
+    Drawing,
+    Plain,
+    Section,
+    as_yaml,
+    facts,
+    report_command,
+    trainings,
+)
 from imagination.reporting.figures.scores import Point, draw_ablation
 from imagination.reporting.load_run import Results, TrialCounts
 from imagination.reporting.load_sweep import Job, Multirun
@@ -191,7 +200,7 @@ def _results(job: Job) -> Results:
 
 def _commands(sweep: Multirun, first: Results) -> list[str]:
     """Return the commands of the training of evaluated networks, of the sweep and of the report."""
-    report = shlex.join(["python", "-m", "imagination.report", str(sweep.folder)])
+    report = report_command(sweep.folder)
     try:
         hydra = read_yaml(sweep.folder / "multirun.yaml")["hydra"]
         overrides = [text for text in hydra["overrides"]["task"] if not text.startswith("sweep_dir=")]

@@ -4,11 +4,13 @@ import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import yaml
 from matplotlib.figure import Figure
 
+from imagination.config.overrides import assignment
 from imagination.evaluation.records import SCENES
 from imagination.evaluation.single_views import CELLS, FILE, MIN_LABEL, TABLE, ranked_by
 from imagination.reporting import paper_layout, training_curves
@@ -136,7 +138,12 @@ def commands(results: Results) -> list[str]:
     reproduce, command = trainings(results), str(results.provenance.get("command", ""))
     if command and "imagination.train" not in command:
         reproduce.append(command)
-    return [*reproduce, shlex.join(["python", "-m", "imagination.report", str(results.folder)])]
+    return [*reproduce, report_command(results.folder)]
+
+
+def report_command(folder: Path) -> str:
+    """Return the command that writes the report on a results folder."""
+    return shlex.join(["python", "-m", "imagination.report", assignment("folder", str(folder))])
 
 
 def trainings(results: Results) -> list[str]:

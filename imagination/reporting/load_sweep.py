@@ -66,7 +66,7 @@ class Multirun:
         ]
         if not self.readable:
             raise UserError(
-                f"report: got {folder}, none of whose {len(self.jobs)} jobs has a readable config; report on a sweep "
+                f"folder: got {folder}, none of whose {len(self.jobs)} jobs has a readable config; report on a sweep "
                 "with at least one"
             )
 

@@ -32,7 +32,7 @@ def read_config(path: Path) -> dict[str, Any]:
     """
     if not path.is_file():
         raise UserError(
-            f"report: got {path.parent}, expected the folder of a run, an evaluation or a sweep, which contains "
+            f"folder: got {path.parent}, expected the folder of a run, an evaluation or a sweep, which contains "
             f"{path.name} or numbered folders with one; for example outputs/chair_unet/latest"
         )
     config = read_yaml(path)

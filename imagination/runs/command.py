@@ -29,6 +29,9 @@ log = logging.getLogger(__name__)
 Task = Callable[[DictConfig], float | None]
 """Function of a command; a hyperparameter search maximises the score that it returns."""
 
+DESCRIBE = {"--help", "-h", "--hydra-help", "--shell-completion", "-sc"}
+"""Options of Hydra that describe a command instead of running it; they import no code of plugins."""
+
 
 def command(config_name: str, check: Task | None = None) -> Callable[[Task], Callable[[], None]]:
     """Turn a function of a config into a command that composes conf/<config_name>.yaml with command-line overrides.
@@ -44,7 +47,8 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
     def decorate(task: Task) -> Callable[[], None]:
         @wraps(task)
         def checked(config: DictConfig) -> float | None:
-            config.sweep_dir = None  # Hydra holds it from here on; its date must not enter the run's config
+            if "sweep_dir" in config:  # Hydra holds it from here on; its date must not enter the run's config
+                config.sweep_dir = None
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 return run_job(task, config)
             with user_errors_reported():
@@ -58,12 +62,12 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
         def main() -> None:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises errors instead of ending the program
             for plugin in discover():
-                if plugin.problem:
+                if plugin.problem and "-sc" not in sys.argv:  # would disturb the line that is completed
                     print(
                         f"plugin {plugin.name} ({plugin.origin}) is left out: {plugin.problem}",
                         file=sys.stderr,
                     )
-            register_plugins()
+            register_plugins(launchers=check is None and not DESCRIBE & set(sys.argv[1:]))
             with user_errors_reported():
                 sys.argv[1:] = normalized(sys.argv[1:])
                 check_renamed(config_name, sys.argv[1:])

@@ -115,7 +115,7 @@ def test_the_map_has_the_frame_of_the_recording_and_survives_a_viewer_that_break
     assert done.returncode == 1 and "RuntimeError: the viewer is broken" in done.stderr
     maps = load_maps(tmp_path / "outputs" / "map" / "latest")
     assert maps.frame == "odom" and maps.known.sum() > 50
-    done = command("map", *arguments, "frame=earth", "--preview", "viewer.format=gif")
+    done = command("map", *arguments, "frame=earth", "viewer=preview", "viewer.format=gif")
     folder = tmp_path / "outputs" / "map" / "latest"
     assert done.returncode == 0 and (folder / "preview.gif").is_file()
     assert load_maps(folder).frame == "earth"

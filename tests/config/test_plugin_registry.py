@@ -6,8 +6,6 @@ from pathlib import Path
 import pytest
 
 from imagination.config.plugin_registry import GROUP, Plugin, check, discover, provided
-from imagination.plugins import main
-from imagination.utils.errors import UserError
 from tests.conftest import Command
 
 
@@ -104,23 +102,6 @@ def test_a_broken_distribution_is_ignored(
 ) -> None:
     install(monkeypatch, value)
     assert problem in found(tmp_path, monkeypatch)["rooms"].problem
-
-
-def test_unknown_arguments_are_refused() -> None:
-    with pytest.raises(UserError, match="got deep=true.*check=true"):
-        main(["deep=true"])
-
-
-def test_listing(command: Command, example_plugin: Path) -> None:
-    make(example_plugin.parent / "broken", conf__model__mine="_target_: no_such_package.Class")
-    done = command("plugins")
-    assert done.returncode == 0
-    assert (
-        "adds callbacks/counting, data/scenes/box_rooms, experiment/blind_seats, model/blind" in done.stdout
-    )
-    done = command("plugins", "check=true")
-    assert done.returncode == 1
-    assert "no_such_package" in done.stdout
 
 
 def test_a_broken_plugin_fails_only_if_it_is_used(command: Command, tmp_path: Path) -> None:

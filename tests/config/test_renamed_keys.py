@@ -1,5 +1,7 @@
 """Keys and options of earlier versions are refused with the new name."""
 
+import shlex
+
 import pytest
 from omegaconf import OmegaConf
 
@@ -7,6 +9,7 @@ from imagination.config.compose import compose
 from imagination.config.renamed_keys import (
     RENAMED_KEYS,
     RENAMED_OPTIONS,
+    as_overrides,
     check_renamed,
     renamed,
 )
@@ -77,3 +80,39 @@ def test_commands_refuse_old_names(command: Command) -> None:
     done = command("train", "+experiment=chair_unet", "scale=test", "scale.rounds=1")
     assert done.returncode == 2
     assert "scale.rounds" in done.stderr and "trainer.max_epochs=1" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "expected"),
+    [
+        ("report", ["outputs/made/latest"], ["folder=outputs/made/latest"]),
+        ("report", ["a", "--docs", "docs/b"], ["folder=a", "docs=docs/b"]),
+        ("report", ["--docs=docs/b", "a"], ["docs=docs/b", "folder=a"]),
+        ("report", ["a", "--docs"], ["folder=a", "docs=PAGE"]),
+        ("report", ["my run"], ["folder='my run'"]),
+        ("assets", ["sweethome3d", "list=true"], ["name=sweethome3d", "list=true"]),
+        ("map", ["recording=tum", "--preview"], ["recording=tum", "viewer=preview"]),
+    ],
+)
+def test_arguments_of_earlier_versions_are_refused_with_the_overrides(
+    command: str, words: list[str], expected: list[str]
+) -> None:
+    with pytest.raises(UserError) as error:
+        check_renamed(command, words)
+    assert str(error.value).endswith(shlex.join(["python", "-m", f"imagination.{command}", *expected]))
+    assert as_overrides(command, expected) == expected
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["folder=a", "--cfg", "job"],
+        ["--help"],
+        ["-sc", "query=bash"],
+        ["~docs"],
+        ["--cfg", "hydra", "-p", "hydra.job"],
+    ],
+)
+def test_options_of_hydra_keep_their_values(words: list[str]) -> None:
+    assert as_overrides("report", words) == words
+    check_renamed("report", words)

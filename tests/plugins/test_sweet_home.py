@@ -346,7 +346,7 @@ def test_entries_of_one_size_stay_in_one_split() -> None:
 
 def test_missing_archives_are_reported(tmp_path: Path) -> None:
     with pytest.raises(
-        UserError, match=r"found no \.sh3f archive in .*python -m imagination.assets sweethome3d"
+        UserError, match=r"found no \.sh3f archive in .*python -m imagination.assets name=sweethome3d"
     ):
         furniture.find_archives(str(tmp_path))
     write_archive(tmp_path / "a.sh3f", {"readme": "x"})

@@ -10,10 +10,9 @@ import cv2
 import pytest
 from matplotlib.figure import Figure
 
-from imagination.report import main, read
+from imagination.report import read, write
 from imagination.reporting import html
 from imagination.reporting.content import Content, Drawing, Section
-from tests.conftest import Command
 from tests.helpers.run_folders import make_folder
 
 EVIL = "<script>alert('x')</script><img src=http://example.org/x>\"&"
@@ -28,7 +27,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         tmp_path_factory.mktemp("made") / "run", note=EVIL, seed=EVIL, choices=[f"+experiment={EVIL}"]
     )
     (made / "tables" / "extra.csv").write_text(f'what,value\n"{EVIL.replace(chr(34), "")}",1\n')
-    main([str(made)])
+    write(made)
     return made
 
 
@@ -80,7 +79,7 @@ def test_tables_and_figures_are_written_with_the_page(folder: Path) -> None:
 def test_a_second_report_is_the_same_bytes(folder: Path) -> None:
     files = [path for path in folder.rglob("*") if path.is_file()]
     before = {path: path.read_bytes() for path in files}
-    main([str(folder)])
+    write(folder)
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
@@ -117,16 +116,11 @@ def test_names_with_signs_of_formulas_are_drawn_as_text() -> None:
 
 
 def test_a_page_for_the_docs(folder: Path, tmp_path: Path) -> None:
-    main([str(folder), "--docs", str(tmp_path / "docs" / "study")])
+    write(folder, tmp_path / "docs" / "study")
     text = (tmp_path / "docs" / "study.md").read_text()
     for target in re.findall(r"\]\(([^)]+)\)", text):
         assert (tmp_path / "docs" / target).stat().st_size > 0
-    assert "| Imagination |" in text and "--docs docs/study" in text and "![" in text
-
-
-def test_the_command_reports_user_errors_briefly(command: Command) -> None:
-    done = command("report", "nowhere")
-    assert done.returncode == 2 and done.stderr.startswith("error: report: got nowhere")
+    assert "| Imagination |" in text and "docs=docs/study" in text and "![" in text
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome is installed; apt-get install chromium")

@@ -225,7 +225,7 @@ def test_an_evaluation_shows_how_its_networks_were_trained(tmp_path: Path) -> No
     assert content.commands == [
         *(f"python -m imagination.train +experiment={name}" for name in ("chair_unet", "bed_unet", "hrnet")),
         evaluated,
-        f"python -m imagination.report {folder}",
+        f"python -m imagination.report folder={folder}",
     ]
     charts = {drawing.stem: drawing for drawing in drawings(content) if drawing.stem.startswith("curve_")}
     assert set(charts) == {f"curve_{name}_{kind}" for name in ("loss", "iou") for kind in ("maps", "images")}
@@ -252,16 +252,16 @@ def test_a_training_is_reproduced_with_its_first_command(tmp_path: Path, given: 
     folder = make_folder(tmp_path / "run", choices=["+experiment=made"])
     command = f"python -m imagination.train {given}"
     (folder / "tables" / "provenance.json").write_text(json.dumps({"command": command}))
-    report = f"python -m imagination.report {folder}"
+    report = f"python -m imagination.report folder={folder}"
     assert read(folder).commands == [f"python -m imagination.train {again}", report]
     (tmp_path / "jobs.csv").write_text("")  # a sweep's job: its overrides, not the command of the sweep
     assert read(folder).commands == ["python -m imagination.train +experiment=made", report]
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"report: got .*nothing"):
+    with pytest.raises(UserError, match=r"folder: got .*nothing"):
         read(tmp_path / "nothing")
-    with pytest.raises(UserError, match=r"report: got .*expected"):
+    with pytest.raises(UserError, match=r"folder: got .*expected"):
         read(tmp_path)
     (tmp_path / "config.yaml").write_text("a: [1")
     with pytest.raises(UserError, match=r"config.yaml: cannot be read"):

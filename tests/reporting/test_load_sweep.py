@@ -76,7 +76,7 @@ def test_six_jobs_differ_only_in_the_swept_keys(sweep: Path) -> None:
     assert content.problems == []
     assert content.commands == [
         "python -m imagination.train -m +experiment=made kernels.imaginable=0.6,1.0,1.4 model.alpha_max=10,30",
-        f"python -m imagination.report {sweep}",
+        f"python -m imagination.report folder={sweep}",
     ]
     (table,) = [table for section in content.sections for table in section.layouts]
     assert [len(lines) for _, lines in table.blocks] == [6, 6, 6, 6]
@@ -134,11 +134,11 @@ def test_swept_values_are_found_in_configs_without_overrides(sweep: Path) -> Non
     command = "python -m imagination.train +experiment=made +hparams_search=optuna"
     where = sweep / "0" / "tables" / "provenance.json"
     where.write_text(json.dumps({"command": "python -m somebody.s worker"}))
-    assert read(sweep).commands == [f"python -m imagination.report {sweep}"]
+    assert read(sweep).commands == [f"python -m imagination.report folder={sweep}"]
     where.write_text(json.dumps({"command": f"{command} sweep_dir=old"}))
     assert read(sweep).commands == [
         command,
-        f"python -m imagination.report {sweep}",
+        f"python -m imagination.report folder={sweep}",
     ]  # the command of the search
     for path in sweep.glob("*/config.yaml"):
         config = yaml.safe_load(path.read_text())
@@ -218,7 +218,7 @@ def test_jobs_without_a_common_category_are_drawn(tmp_path: Path) -> None:
 
 def test_a_sweep_that_left_nothing_is_refused(tmp_path: Path) -> None:
     (tmp_path / "0").mkdir()
-    with pytest.raises(UserError, match=r"report: got .*none of whose 1 jobs"):
+    with pytest.raises(UserError, match=r"folder: got .*none of whose 1 jobs"):
         read(tmp_path)
 
 

@@ -100,7 +100,7 @@ def find_archives(folder: str | None = None) -> tuple[Path, ...]:
             return tuple(archives)
     raise UserError(
         f"furniture of Sweet Home 3D: found no .sh3f archive in {' or '.join(map(str, folders))}; run "
-        f"`python -m imagination.assets sweethome3d`, or set {VARIABLE} to a folder of archives"
+        f"`python -m imagination.assets name=sweethome3d`, or set {VARIABLE} to a folder of archives"
     )
 
 
@@ -158,7 +158,7 @@ def _designs(archives: tuple[Path, ...], cache: Cache) -> dict[tuple[str, Split]
     if not set(usable) & set(STYLED_LABELS):
         raise UserError(
             f"furniture of Sweet Home 3D: no chair, table or bed in {', '.join(map(str, archives))} can be used; "
-            "`python -m imagination.assets sweethome3d list=true` lists the reasons"
+            "`python -m imagination.assets name=sweethome3d list=true` lists the reasons"
         )
     designs: dict[tuple[str, Split], tuple[Entry, ...]] = {}
     for label, entries in usable.items():

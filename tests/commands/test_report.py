@@ -1,0 +1,35 @@
+"""Command that writes a report on a results folder."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import Command
+from tests.helpers.run_folders import make_folder
+
+
+def test_a_page_in_the_folder_or_for_the_documentation(command: Command, tmp_path: Path) -> None:
+    make_folder(tmp_path / "run")
+    done = command("report", "folder=run", "docs=pages/study")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "pages" / "study.md").is_file() and list((tmp_path / "pages" / "study").glob("*.png"))
+    assert not (tmp_path / "run" / "report.html").exists()
+    done = command("report", "folder=run")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "report.html").is_file()
+    assert {path.name for path in tmp_path.iterdir()} == {"run", "pages"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "folder: got none, expected"),
+        (["folder=nowhere"], "folder: got nowhere"),
+        (["nowhere", "--docs", "page"], "imagination.report folder=nowhere docs=page"),
+        (["folder=a", "--docs"], "--docs"),
+    ],
+)
+def test_user_errors_get_one_message(command: Command, arguments: list[str], message: str) -> None:
+    done = command("report", *arguments)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert message in done.stderr
