@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Collection, Sequence
 from functools import cached_property
-from typing import Protocol, cast
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ PREDICTION_SETTINGS = ("tta_hflip", "postprocess_dilation")
 """Attributes of networks that change their predictions but are no weights."""
 
 
+@runtime_checkable
 class Network(Protocol):
     """Trained network: a `LitTask`, or public weights such as `PublicHRNet`.
 
@@ -40,6 +41,7 @@ class Network(Protocol):
         """Kind of prediction."""
 
 
+@runtime_checkable
 class Mapping(Network, Protocol):
     """Network that predicts egocentric maps, such as `LitUnit`."""
 
@@ -47,6 +49,7 @@ class Mapping(Network, Protocol):
         """Predict the probabilities of the unit's categories."""
 
 
+@runtime_checkable
 class Segmentation(Network, Protocol):
     """Network that segments images, such as `LitSegmentation`."""
 

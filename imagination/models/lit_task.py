@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pkgutil import resolve_name
-from typing import Any, ClassVar, NamedTuple, Self, cast
+from typing import Any, ClassVar, NamedTuple, TypeVar, cast
 
 import torch
 from lightning import LightningModule
@@ -15,6 +15,8 @@ from torchmetrics import Metric
 
 from imagination.models.task_kind import TaskKind
 from imagination.utils.errors import UserError
+
+Task = TypeVar("Task", bound="LitTask")
 
 Batch = Mapping[str, Tensor]
 """Batch of the data module; see `imagination.data.collate`."""
@@ -71,8 +73,8 @@ class LitTask(LightningModule, ABC):
 
     @classmethod
     def load_from_checkpoint(  # type: ignore[override]  # no hparams_file, and never more than plain data
-        cls, checkpoint_path: str | PathLike[str], map_location: str | torch.device = "cpu"
-    ) -> Self:
+        cls: type[Task], checkpoint_path: str | PathLike[str], map_location: str | torch.device = "cpu"
+    ) -> Task:
         """Return the trained module of a checkpoint in evaluation mode; nothing is unpickled.
 
         The network is composed from the installed conf and plugins with the overrides and values in the checkpoint.

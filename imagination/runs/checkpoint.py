@@ -177,9 +177,8 @@ class Checkpoint:
         last = self.path.with_name(LAST.name)
         callbacks = (read_state(last) if last.is_file() else self.state).get("callbacks", {})
         counts: dict[str, Any] = callbacks.get("TrainingStats", {})
-        stopping: dict[str, Any] = next(
-            (state for key, state in callbacks.items() if key.startswith("EarlyStopping")), {}
-        )
+        states = (state for key, state in callbacks.items() if key.startswith("EarlyStopping"))
+        stopping: dict[str, Any] = next(states, {})
         flat = stopping.get("wait_count", 0) >= stopping.get("patience", 1)
         return counts and {**counts, "flat": flat}
 
