@@ -90,8 +90,8 @@ def log_loggers(trainer: Trainer) -> None:
     for logger in trainer.loggers:
         if isinstance(logger, TensorBoardLogger):
             log.info("TensorBoard: tensorboard --logdir %s", logger.root_dir)
-        else:
-            log.info("%s: %s", type(logger).__name__, logger.log_dir or logger.save_dir)
+        elif folder := logger.log_dir or logger.save_dir:
+            log.info("%s: %s", type(logger).__name__, folder)
 
 
 def best_checkpoint(run: Run) -> Path | None:

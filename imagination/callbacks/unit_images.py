@@ -74,9 +74,12 @@ def draw(
         rows.append(panels)
     options = {name: MAP for name in rows[0] if name.startswith(("Prediction", "V_valid"))}
     depth = {f"Depth, 0 to {MAX_DEPTH:g} m": {"cmap": "gray", "vmin": 0.0, "vmax": MAX_DEPTH}}
-    figure = draw_grid(rows, options | depth)
+    figure = draw_grid(rows, options | depth, margin=0.9)
     last = [axis for axis in figure.axes if axis.images and axis.images[0].cmap.name == MAP["cmap"]]
-    figure.colorbar(last[-1].images[0], ax=figure.axes, label="probability", shrink=0.6, pad=0.01)
+    shrink = min(1.0, 2.0 / len(rows))
+    figure.colorbar(
+        last[-1].images[0], ax=figure.axes, label="probability", shrink=shrink, aspect=12, pad=0.01
+    )
     colours = {"label": GROUND_TRUTH, "occupied": OCCUPIED, "seen": SEEN, "not seen": UNSEEN}
     draw_legend(figure, colours)
     return figure

@@ -64,16 +64,18 @@ class ViewImages(Callback, ABC):
             return
         task, data = cast(LitTask, pl_module), cast(SceneData, trainer.datamodule)  # type: ignore[attr-defined]
         kept = {name: torch.cat([batch[name] for batch in self._kept]) for name in self._kept[0]}
-        with style.theme("light"):
-            figure = self.draw(largest(kept, task.target, self.views), task, data)
-            add_image(trainer, "views/val", to_image(figure))
+        shown = largest(kept, task.target, self.views)
+        if len(shown["rgb"]):
+            with style.theme("light"):
+                add_image(trainer, "views/val", to_image(self.draw(shown, task, data)))
         self._kept = []
 
 
 def largest(batch: Batch, target: str, count: int) -> Batch:
-    """Return the `count` views of a batch with the largest ground truth, which is the entry `target`."""
+    """Return the views of a batch with the largest ground truth (the entry `target`): `count`, or all that have any."""
     sizes = (batch[target] > 0).flatten(1).sum(dim=1)
-    indices = sizes.argsort(descending=True, stable=True)[:count].tolist()
+    number = min(count, int((sizes > 0).sum()))
+    indices = sizes.argsort(descending=True, stable=True)[:number].tolist()
     return {name: tensor[indices] for name, tensor in batch.items()}
 
 
@@ -82,15 +84,18 @@ def arrays(batch: Batch) -> dict[str, np.ndarray]:
     return {name: tensor.cpu().numpy() for name, tensor in batch.items()}
 
 
-def draw_grid(panels: Sequence[Mapping[str, np.ndarray]], options: Mapping[str, Mapping[str, Any]]) -> Figure:
+def draw_grid(
+    panels: Sequence[Mapping[str, np.ndarray]], options: Mapping[str, Mapping[str, Any]], margin: float = 0.0
+) -> Figure:
     """Draw one row of panels for each view.
 
     Args:
         panels: images of each view by title.
         options: arguments of `imshow` by title.
+        margin: additional width, inches.
     """
     titles = list(panels[0])
-    figure = Figure(figsize=(2.0 * len(titles), 2.0 * len(panels) + 0.7), layout="constrained")
+    figure = Figure(figsize=(2.0 * len(titles) + margin, 2.0 * len(panels) + 0.7), layout="constrained")
     axes = figure.subplots(len(panels), len(titles), squeeze=False)
     for axis, title in zip(axes[0], titles, strict=True):
         axis.set_title(title)

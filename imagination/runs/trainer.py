@@ -32,7 +32,7 @@ def make_trainer(config: DictConfig, first_step: int) -> Trainer:
         UserError: if Lightning refuses an argument.
     """
     check_gradient_clipping(config)
-    loggers = make_loggers(config.logger, first_step)
+    loggers = make_loggers(config.get("logger"), first_step)
     callbacks = make_callbacks(config, loggers)
     try:
         trainer: Trainer = instantiate(

@@ -24,9 +24,7 @@ def batches(device: str, accumulate: int, epoch: int = 2, overfit: int = 0) -> l
     )
     data = Mock(spec=SceneData, seed=1, batch_size=12, micro_batches=accumulate)
     data.assemble = lambda views: {"rgb": torch.from_numpy(views["rgb"]).permute(0, 3, 1, 2)}
-    trainer = Mock(
-        spec=Trainer, current_epoch=epoch, max_epochs=5, datamodule=data, overfit_batches=overfit
-    )
+    trainer = Mock(spec=Trainer, current_epoch=epoch, max_epochs=5, datamodule=data, overfit_batches=overfit)
     trainer.strategy.root_device = torch.device(device)
     callback.on_fit_start(trainer, Mock(spec=LitTask, batch_totals=lambda batch: {}))
     assert len(data.epochs) == 7 * accumulate

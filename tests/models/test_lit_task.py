@@ -57,7 +57,7 @@ def unit() -> LitUnit:
 
 
 def segmentation_checkpoint(path: Path) -> Path:
-    overrides = ["+experiment=segmentation_hrnet", "scale=test"]
+    overrides = ["experiment=segmentation_hrnet", "scale=test"]
     config = compose("train", [*overrides, "paths.run=."])
     config.choices = overrides
     torch.manual_seed(0)
@@ -106,20 +106,20 @@ def test_a_segmentation_network_predicts_one_scene(tmp_path: Path) -> None:
     views = data(tmp_path)
     views.collate = ImageCollate()
     module = LitSegmentation(Dark, ["bed"], ADAM, CONSTANT)
-    loader = views.scene_dataloader("val_0000", 5)
+    loader = views.scene_dataloader("val_0", 5)
     predictions = quiet_trainer().predict(module, loader)
     assert predictions is not None
     images = torch.cat([batch["rgb"] for batch in loader])
     assert images.shape == (5, 3, 32, 32)
     assert torch.equal(torch.cat(predictions) == 1, images.float().sum(dim=1) < 200)  # type: ignore[arg-type]
-    with pytest.raises(UserError, match="scene: got 'attic'.*val_0000"):
+    with pytest.raises(UserError, match="scene: got 'attic'.*val_0"):
         views.scene_dataloader("attic", 5)
 
 
 def test_hyperparameters_are_plain_values_under_lightnings_key(tmp_path: Path) -> None:
     module = unit()
-    config = compose("train", ["+experiment=chair_unet", "scale=test", "seed=5", "paths.run=."])
-    config.choices = ["+experiment=chair_unet", "scale=test", "seed=5"]
+    config = compose("train", ["experiment=chair_unet", "scale=test", "seed=5", "paths.run=."])
+    config.choices = ["experiment=chair_unet", "scale=test", "seed=5"]
     module.save_hyperparameters(hyperparameters(config), logger=False)
     trainer = quiet_trainer(max_epochs=0)
     trainer.fit(module, data(tmp_path).val_dataloader())

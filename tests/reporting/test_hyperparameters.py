@@ -5,7 +5,7 @@ import pytest
 from imagination.config.compose import compose
 from imagination.reporting.hyperparameters import final_scores, hyperparameters
 
-JOB = ["+experiment=chair_unet", "scale=test"]
+JOB = ["experiment=chair_unet", "scale=test"]
 
 
 @pytest.mark.parametrize(
