@@ -8,13 +8,10 @@ from lightning.pytorch.callbacks import Checkpoint, LearningRateMonitor, ModelSu
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from lightning.pytorch.profilers import SimpleProfiler
 from lightning.pytorch.strategies import DDPStrategy
-from omegaconf import OmegaConf
 
 from imagination.config.compose import compose
 from imagination.runs.trainer import make_trainer
 from imagination.utils.errors import UserError
-
-CSV = "{_target_: lightning.pytorch.loggers.CSVLogger, save_dir: DIR, name: csv, version: ''}"
 
 
 def trainer(folder: Path, *overrides: str) -> lightning.Trainer:
@@ -47,14 +44,10 @@ def test_a_disabled_callback_is_left_out(tmp_path: Path, override: str, kind: ty
     assert not has(trainer(tmp_path, override), kind)
 
 
-def test_several_loggers_by_name(tmp_path: Path) -> None:
-    config = compose("train", ["experiment=chair_unet", "scale=test", f"paths.run={tmp_path}"])
-    board = OmegaConf.to_container(config.logger, resolve=True)
-    csv = OmegaConf.to_container(OmegaConf.create(CSV.replace("DIR", str(tmp_path))))
-    OmegaConf.set_struct(config, False)
-    config.logger = {"tensorboard": board, "csv": csv, "none": None}
-    config.trainer.accelerator = "cpu"
-    assert [type(logger) for logger in make_trainer(config, 0).loggers] == [TensorBoardLogger, CSVLogger]
+def test_several_loggers(tmp_path: Path) -> None:
+    made = trainer(tmp_path, "logger=many")
+    assert [type(logger) for logger in made.loggers] == [TensorBoardLogger, CSVLogger]
+    assert not trainer(tmp_path, "logger=null").loggers
 
 
 def test_arguments_reach_the_trainer(tmp_path: Path) -> None:
