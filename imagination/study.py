@@ -59,7 +59,7 @@ def check_evaluation(experiments: Sequence[str], training: Sequence[str], evalua
         UserError: if the networks cannot be evaluated together, or a setting of the evaluation is out of range.
     """
     from imagination.evaluation.approaches import NEEDS
-    from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint  # imports torch
+    from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters  # imports torch
 
     if not experiments:
         raise UserError("experiments: got none, expected names such as [chair_unet,segmentation_hrnet]")
@@ -67,7 +67,7 @@ def check_evaluation(experiments: Sequence[str], training: Sequence[str], evalua
     for experiment in experiments:
         config = training_config(experiment, training)
         validate(config)
-        checkpoints.append(Checkpoint(Path(experiment), {KEY: ConfigInCheckpoint(config).saved_config}))
+        checkpoints.append(Checkpoint(Path(experiment), {KEY: hyperparameters(config)}))
     config = evaluation_config(checkpoints, [f"ckpt={json.dumps(list(experiments))}", *evaluation])
     instantiate(config.evaluation).available(NEEDS)
 

@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 
 from imagination.runs.command import command
-from imagination.runs.distributed import cluster_environment, strategy
 from imagination.runs.folder import BEST
 from imagination.runs.logging import quiet_lightning
 from imagination.runs.preflight import check_accelerator, check_processes, out_of_memory_reported
 from imagination.runs.resume import Run, open_run
-from imagination.runs.run_summary import record_hyperparameters, summary, write_single_view_scores
-from imagination.utils.precision import resolved
+from imagination.runs.run_summary import summary, write_single_view_scores
 from imagination.utils.timing import stage
 
 if TYPE_CHECKING:
-    from lightning import LightningModule, Trainer
+    from lightning import Trainer
 
     from imagination.data.datamodule import SceneData
+    from imagination.models.lit_task import LitTask
 
 log = logging.getLogger(__name__)
 
@@ -30,66 +29,69 @@ log = logging.getLogger(__name__)
 def main(config: DictConfig) -> float | None:
     """Train and evaluate; return the best egocentric IoU on validation scenes, which a search maximises."""
     with open_run(config) as run:
-        log.info("Run folder: %s\nTensorBoard: tensorboard --logdir %s", run.folder, run.folder.parent)
-        trainer = train(run)
+        log.info("Run folder: %s", run.folder)
+        task, trainer = train(run)
         if trainer.is_global_zero:
-            log.info("%s\n%s", write_single_view_scores(run, trainer), summary(run, best_checkpoint(run)))
+            scores = write_single_view_scores(run, trainer, task)
+            log.info("%s\n%s", scores, summary(run, best_checkpoint(run)))
         return best_score(trainer)
 
 
-def train(run: Run) -> Trainer:
-    """Build model, data and trainer, train the model, and test its best checkpoint on the test scenes."""
-    model, data, trainer = build(run)
+def train(run: Run) -> tuple[LitTask, Trainer]:
+    """Build task, data and trainer, train the network, and test its best checkpoint on the test scenes."""
+    from imagination.reporting.hyperparameters import record_hyperparameters
+
+    task, data, trainer = build(run)
+    log_loggers(trainer)
     try:
         with stage("scenes and ground truth"):
             data.setup("fit")
         with stage("training"), out_of_memory_reported(run.config):
-            trainer.fit(model, datamodule=data, ckpt_path=run.checkpoint, weights_only=True)
+            trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint, weights_only=True)
         with stage("scenes and ground truth"):
             data.setup("test")
         with stage("evaluation"):
             trainer.test(
-                model, datamodule=data, ckpt_path=best_checkpoint(run), verbose=False, weights_only=True
+                task, datamodule=data, ckpt_path=best_checkpoint(run), verbose=False, weights_only=True
             )
     finally:
         data.close()
-    record_hyperparameters(trainer, run.config)
-    return trainer
+    if trainer.is_global_zero:
+        record_hyperparameters(trainer, run.config)
+    return task, trainer
 
 
-def build(run: Run) -> tuple[LightningModule, SceneData, Trainer]:
-    """Build the model, the data and the trainer with its callbacks and logger."""
+def build(run: Run) -> tuple[LitTask, SceneData, Trainer]:
+    """Build the task, the data and the trainer with its callbacks and loggers."""
     import torch.utils.deterministic
     from hydra.utils import instantiate
     from lightning import seed_everything
 
-    from imagination.runs.checkpoint import CheckpointFiles, ConfigInCheckpoint, read_state
+    from imagination.runs.checkpoint import hyperparameters, read_state
+    from imagination.runs.trainer import make_trainer
 
     config = run.config
     check_accelerator(config.trainer.accelerator)
     check_processes(config)
-    if "purge_step" in config.logger:  # events after the checkpoint are logged again
-        config.logger.purge_step = read_state(run.checkpoint)["global_step"] if run.checkpoint else 0
+    first_step = read_state(run.checkpoint)["global_step"] if run.checkpoint else 0
     quiet_lightning()
     seed_everything(config.seed, verbose=False)
     # deterministic mode fills uninitialized memory to expose reads before writes, which only costs time here
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
-    model = instantiate(config.model.module)
-    data = instantiate(config.data.module)
-    # a scale also sets values of callbacks that are not selected, which have no `_target_`
-    selected = [node for node in config.callbacks.values() if "_target_" in node]
-    callbacks = [ConfigInCheckpoint(config), *map(instantiate, selected)]
-    trainer = instantiate(
-        config.trainer,
-        strategy=strategy(config.trainer.devices * config.trainer.num_nodes),
-        precision=resolved(config.trainer.precision),
-        # to Lightning, micro-batches are batches
-        accumulate_grad_batches=config.trainer.accumulate_grad_batches * config.data.micro_batches,
-        callbacks=callbacks,
-        logger=instantiate(config.logger),
-        plugins=[CheckpointFiles(), cluster_environment()],
-    )
-    return model, data, trainer
+    task = instantiate(config.model.module)
+    task.save_hyperparameters(hyperparameters(config), logger=False)  # for load_from_checkpoint
+    return task, instantiate(config.data.module), make_trainer(config, first_step)
+
+
+def log_loggers(trainer: Trainer) -> None:
+    """Log where the loggers of a run write."""
+    from lightning.pytorch.loggers import TensorBoardLogger
+
+    for logger in trainer.loggers:
+        if isinstance(logger, TensorBoardLogger):
+            log.info("TensorBoard: tensorboard --logdir %s", logger.root_dir)
+        elif folder := logger.log_dir or logger.save_dir:
+            log.info("%s: %s", type(logger).__name__, folder)
 
 
 def best_checkpoint(run: Run) -> Path | None:

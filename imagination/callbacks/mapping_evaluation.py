@@ -6,17 +6,17 @@ from typing import cast
 
 from lightning import Callback, LightningModule, Trainer
 
-from imagination.callbacks.unit_images import add_image
+from imagination.callbacks.view_images import add_image, to_image
 from imagination.data.datamodule import SceneData
-from imagination.evaluation.prediction import Model, Segmenter
 from imagination.evaluation.protocol import MappingProtocol, ModelUnderTest
+from imagination.evaluation.records import Example
 from imagination.evaluation.run import evaluate, model_under_test
-from imagination.reporting.figures.maps import side_by_side
+from imagination.models.lit_task import LitTask
+from imagination.reporting import style
+from imagination.reporting.figures.maps import draw_maps
 from imagination.reporting.results_folder import write_results
 from imagination.utils.errors import check_range
 from imagination.utils.timing import stage
-
-Network = Model | Segmenter
 
 
 class MappingEvaluation(Callback):
@@ -57,19 +57,17 @@ class MappingEvaluation(Callback):
     def on_test_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if not trainer.is_global_zero:
             return
-        evaluation = evaluate(self.protocol, _data(trainer), [cast(Network, pl_module)], self.folder)
+        evaluation = evaluate(self.protocol, _data(trainer), [cast(LitTask, pl_module)], self.folder)
         for row in write_results(self.folder, evaluation):
             tag = f"global/{row['category']}/{row['approach']}/{row['cell_width']}m"
             pl_module.log(tag, float(row["iou_pooled"]), rank_zero_only=True)
         for example in evaluation.report.examples:
-            add_image(
-                trainer, f"maps/{example.category}/{example.trial.cell_width:g}m", side_by_side(example)
-            )
+            _add_maps(trainer, f"maps/{example.category}/{example.trial.cell_width:g}m", example)
 
     def _model_under_test(self, trainer: Trainer, pl_module: LightningModule) -> ModelUnderTest:
         """Return the network with its current weights, whose results are not cached."""
         return model_under_test(
-            _data(trainer), [cast(Network, pl_module)], self.protocol.precision, keep=False
+            _data(trainer), [cast(LitTask, pl_module)], self.protocol.precision, keep=False
         )
 
     def _monitor(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -88,7 +86,14 @@ class MappingEvaluation(Callback):
             pl_module.log(f"global/{category}/{approach}/val", threshold.iou, rank_zero_only=True)
         first_width = replace(protocol, cell_widths=self.protocol.cell_widths[:1])
         for example in first_width.evaluate(model, scenes, thresholds, silent=True).examples:
-            add_image(trainer, f"maps/{example.category}/val", side_by_side(example))
+            _add_maps(trainer, f"maps/{example.category}/val", example)
+
+
+def _add_maps(trainer: Trainer, tag: str, example: Example) -> None:
+    """Add the maps of a trial to the loggers."""
+    if trainer.loggers:
+        with style.theme("light"):
+            add_image(trainer, tag, to_image(draw_maps([example])))
 
 
 def _data(trainer: Trainer) -> SceneData:

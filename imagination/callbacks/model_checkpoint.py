@@ -11,7 +11,11 @@ PATHS = ("best_model_path", "kth_best_model_path", "last_model_path")
 
 
 class MovableCheckpoint(ModelCheckpoint):
-    """ModelCheckpoint whose state holds file names without folders, so that a moved run keeps its best checkpoint."""
+    """Lightning's ModelCheckpoint for run folders that may be moved.
+
+    Its state holds absolute paths, and Lightning drops the best score if the folder differs when a run resumes. This
+    state holds file names only.
+    """
 
     def state_dict(self) -> dict[str, Any]:
         state = super().state_dict()
@@ -29,7 +33,13 @@ class MovableCheckpoint(ModelCheckpoint):
 
 
 class BestCheckpoint(MovableCheckpoint):
-    """Checkpoint callback that saves after validated epochs and has the last epoch, often the best, validated."""
+    """Checkpoint callback of the epoch with the best validation score.
+
+    - It has the last epoch validated, which is often the best: Lightning validates only multiples of
+      `check_val_every_n_epoch`.
+    - It saves at the end of epochs, where runs can be resumed exactly, and only of validated ones: Lightning would
+      compare the score of an earlier validation again.
+    """
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         if trainer.current_epoch + 1 == trainer.max_epochs:

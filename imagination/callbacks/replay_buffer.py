@@ -1,18 +1,20 @@
 """Replay-buffer callback, which collects views before each epoch and provides the batches of the epoch."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sized
 from time import perf_counter
+from typing import cast
 
 import numpy as np
 import torch
 from lightning import Callback, LightningModule, Trainer
+from torch import Tensor
 
 from imagination.data.augmentation import mirrored
 from imagination.data.collate import Batch
 from imagination.data.datamodule import SceneData
 from imagination.data.prefetch import prefetch
 from imagination.data.replay_buffer import ReplayBuffer
-from imagination.models.losses import batch_counts
+from imagination.models.lit_task import LitTask
 from imagination.utils.errors import UserError, check_range
 from imagination.utils.process_group import global_rank, world_size
 from imagination.utils.progress import progress
@@ -72,30 +74,29 @@ class ReplayBufferCallback(Callback):
             self.buffer = ReplayBuffer(self.buffer.size // world_size(), self.buffer.aggregation_factor)
         per_process = data.batch_size // world_size()
         check_range("data.micro_batches", data.micro_batches, 1, per_process, "micro-batches")
-        data.epochs = _EpochBatches(self, data, trainer)
+        data.epochs = _EpochBatches(self, data, trainer, cast(LitTask, pl_module))
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         data: SceneData = trainer.datamodule  # type: ignore[attr-defined]
         collector = data.collector(self.update_interval)
         total = self.prefill + self.collection_epochs
         holds_all = total * collector.views_per_collection <= self.buffer.size
-        newest = self.prefill + trainer.current_epoch
+        newest = self.prefill + drawn_epoch(trainer)
         newest = min(newest, total - 1) if holds_all else newest
         start = perf_counter()
         self._fill(data, collector, newest, 2 * max(1, data.workers))
-        if holds_all and trainer.current_epoch >= self.collection_epochs:
+        last = trainer.current_epoch + 1 >= (trainer.max_epochs or 0) or overfits(trainer)
+        if holds_all and drawn_epoch(trainer) >= self.collection_epochs:
             self.buffer.settle()
-        elif trainer.current_epoch + 1 < (trainer.max_epochs or 0) and not (
-            holds_all and newest + 1 == total
-        ):
+        elif not last and not (holds_all and newest + 1 == total):
             self._start(collector, newest + 1)  # renders while this epoch trains
         collected = min(newest + 1, total) * collector.views_per_collection * world_size()
         pl_module.log("data/collecting_seconds", perf_counter() - start)
         pl_module.log("data/collected_views", float(collected))
-        pl_module.log(
-            "data/draws_per_view",
-            self.update_batches * data.batch_size * (trainer.current_epoch + 1) / collected,
-        )
+        # arguments of the trainer such as limit_train_batches may skip batches
+        batches = self.update_batches * trainer.num_training_batches / len(cast(Sized, data.epochs))
+        draws = batches * data.batch_size * (trainer.current_epoch + 1)
+        pl_module.log("data/draws_per_view", draws / collected)
 
     def _fill(self, data: SceneData, collector: Collector, newest: int, lookahead: int) -> None:
         """Insert the collections up to `newest` that fit into the buffer; start `lookahead` collections in advance."""
@@ -120,8 +121,10 @@ DRAWING_THREADS = 4
 class _EpochBatches:
     """Batches of the current epoch, drawn in the main process: prefetched if a GPU trains, otherwise on demand."""
 
-    def __init__(self, callback: ReplayBufferCallback, data: SceneData, trainer: Trainer) -> None:
-        self.callback, self.data, self.trainer = callback, data, trainer
+    def __init__(
+        self, callback: ReplayBufferCallback, data: SceneData, trainer: Trainer, task: LitTask
+    ) -> None:
+        self.callback, self.data, self.trainer, self.task = callback, data, trainer, task
 
     def __len__(self) -> int:
         return self.callback.update_batches * self.data.micro_batches
@@ -139,11 +142,11 @@ class _EpochBatches:
         """Draw a batch of the current epoch, divided into micro-batches."""
         per_process = self.data.batch_size // world_size()
         index = number * world_size() + global_rank()
-        rng = np.random.default_rng([self.data.seed, Stream.BATCHES, self.trainer.current_epoch, index])
+        rng = np.random.default_rng([self.data.seed, Stream.BATCHES, drawn_epoch(self.trainer), index])
         views = self.callback.buffer.draw(per_process, rng)
         flipped = rng.random(per_process) < self.callback.hflip_probability
         batch = self.data.assemble(mirrored(views, flipped))
-        micro_batches = parts(batch, self.data.micro_batches)
+        micro_batches = parts(batch, self.data.micro_batches, self.task.batch_totals)
         return [pinned(part) for part in micro_batches] if self._on_gpu else list(micro_batches)
 
 
@@ -152,19 +155,28 @@ def pinned(batch: Batch) -> Batch:
     return {name: values.pin_memory() for name, values in batch.items()}
 
 
-def parts(batch: Batch, count: int) -> Iterator[Batch]:
+def overfits(trainer: Trainer) -> bool:
+    """Return whether the trainer fits the same few batches in every epoch (`trainer.overfit_batches`)."""
+    return bool(trainer.overfit_batches)  # type: ignore[attr-defined]  # Lightning sets it at runtime
+
+
+def drawn_epoch(trainer: Trainer) -> int:
+    """Return the epoch whose views and batches are drawn: always the first one if the trainer overfits."""
+    return 0 if overfits(trainer) else trainer.current_epoch
+
+
+def parts(batch: Batch, count: int, batch_totals: Callable[[Batch], Mapping[str, Tensor]]) -> Iterator[Batch]:
     """Yield `count` micro-batches of a batch, whose losses add up to that of the batch.
 
-    Each micro-batch also holds their number and the values of the whole batch that scale the loss: the counts of
-    `batch_counts` for maps, the number of views for first-person images.
+    Args:
+        batch: whole batch.
+        count: number of micro-batches, which each of them holds as well.
+        batch_totals: function that returns the entries of the micro-batches that describe the whole batch.
     """
     if count == 1:
         yield batch
         return
-    if "label" in batch:
-        whole = {"counts": batch_counts(batch["label"], batch["neighbourhood"])}
-    else:
-        whole = {"views": torch.tensor(len(batch["rgb"]))}
+    totals = batch_totals(batch)
     for first in range(count):
         part = {name: values[first::count].clone() for name, values in batch.items()}
-        yield {**part, **whole, "micro_batches": torch.tensor(count)}
+        yield {**part, **totals, "micro_batches": torch.tensor(count)}

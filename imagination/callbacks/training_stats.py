@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from lightning import Callback, LightningModule, Trainer
 
-from imagination.callbacks.unit_images import last_step
+from imagination.callbacks.view_images import last_step
 from imagination.data.collate import Batch
 from imagination.utils.process_group import world_size
 
@@ -53,6 +53,8 @@ class TrainingStats(Callback):
         pl_module.log("step", float(last_step(trainer)))
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if trainer.sanity_checking:  # its scores are not logged
+            return
         self._counts["best"] = max(self._counts["best"], float(trainer.callback_metrics["val/iou"]))
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:

@@ -120,9 +120,6 @@ KEYS: Mapping[str, Key] = {
     "callbacks.early_stopping.min_delta": _training(
         0.0, 1.0, old=("callbacks.early_stopping.margin", "callbacks.until_flat.margin")
     ),
-    "callbacks.early_stopping.min_epochs": _training(
-        1, LARGE, "epochs", old=("callbacks.early_stopping.min_rounds", "callbacks.until_flat.min_rounds")
-    ),
     "callbacks.early_stopping": Key(Role.TRAINING, old=("callbacks.until_flat",)),
     # model
     "model.optimizer.lr": _training(0.0, 10.0, old=("scale.learning_rate",)),
@@ -149,6 +146,14 @@ KEYS: Mapping[str, Key] = {
     "hrnet.check_val_every_n_epoch": _training(1, 1_000_000, "epochs", old=("scale.hrnet_eval_every",)),
     # trainer
     "trainer.max_epochs": _training(1, LARGE, "epochs", old=("scale.epochs", "scale.rounds"), resumable=True),
+    "trainer.min_epochs": Key(
+        Role.TRAINING,
+        unit="epochs",
+        old=(
+            *("callbacks.early_stopping.min_epochs", "callbacks.early_stopping.min_rounds"),
+            "callbacks.until_flat.min_rounds",
+        ),
+    ),
     "trainer.accumulate_grad_batches": _training(1, 100_000, "batches"),
     "trainer.check_val_every_n_epoch": _training(1, 1_000_000, "epochs", old=("scale.eval_every",)),
     "trainer.precision": Key(Role.TRAINING, old=("scale.precision",)),
@@ -199,6 +204,7 @@ KEYS: Mapping[str, Key] = {
     "callbacks.segmentation_images": Key(Role.EXECUTION, old=("callbacks.segmentation_pictures",)),
     "callbacks.training_stats": Key(Role.EXECUTION, old=("callbacks.record",)),
     "callbacks.seed_per_epoch": Key(Role.EXECUTION, old=("callbacks.seeding",)),
+    "callbacks.learning_rate_monitor": Key(Role.EXECUTION),
     "callbacks.progress_bar": Key(Role.EXECUTION, old=("callbacks.progress",)),
     "callbacks": Key(Role.EXECUTION),
     "viewer.max_frames": Key(Role.EXECUTION, old=("viewer.most",)),

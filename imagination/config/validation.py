@@ -8,6 +8,7 @@ from typing import Any
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from imagination.config.key_roles import CELL_WIDTH, KEYS
+from imagination.config.trainer_keys import check_trainer
 from imagination.geometry.grid import cells_of
 from imagination.utils.errors import UserError, check_choice, check_range
 from imagination.utils.precision import PRECISIONS
@@ -38,6 +39,8 @@ def validate(config: DictConfig) -> None:
         _check_number("evaluation.cell_widths", width, *CELL_WIDTH)
     for extent in (config.ego.extent, config.world.extent):
         cells_of(extent, config.ego.resolution)
+    if OmegaConf.select(config, "trainer") is not None:
+        check_trainer(config.trainer)
     if not config.unit_categories:
         raise UserError(
             "unit_categories: got none, expected at least one of: " + ", ".join(config.categories)

@@ -1,5 +1,8 @@
 """Batches for training, assembled from stored views."""
 
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -12,41 +15,52 @@ Batch = dict[str, Tensor]
 Batches for first-person segmentation hold rgb and segmentation u8 [b h w]: 0 for background, else the category index
 plus 1."""
 
-FIELDS = {
-    "maps": ("pose", "rgb", "depth", "occupied", "seen", "object"),
-    "images": ("pose", "rgb", "categories"),
-}
-"""Arrays of views that a batch needs, by the kind of prediction: egocentric maps or first-person images."""
 
+class Collate(ABC):
+    """Function that assembles a batch from stacked views, for one kind of task.
 
-def assemble(views: Views, layers: list[int], imaginable: int, neighbour: int) -> Batch:
-    """Assemble a batch: the inputs of a unit, the label V_label and the neighbourhood M*_seen of its categories.
-
-    Args:
-        views: stacked views.
-        layers: rows of the unit's categories in the category table.
-        imaginable: side of the kernel δ, cells.
-        neighbour: side of the kernel ε, cells.
+    Attributes:
+        fields: names of the arrays of views that a batch needs.
     """
-    target = views["object"][:, layers]
-    seen = views["seen"][:, None]
-    maps = {
-        "label": label(target, seen, imaginable),
-        "neighbourhood": neighbourhood(target, seen, neighbour),
-    }
-    return {**observations(views), **{name: _to_uint8(value) for name, value in maps.items()}}
+
+    fields: ClassVar[tuple[str, ...]]
+
+    @abstractmethod
+    def __call__(self, views: Views, layers: list[int], imaginable: int, neighbour: int) -> Batch:
+        """Assemble a batch.
+
+        Args:
+            views: stacked views.
+            layers: rows of the predicted categories in the category table.
+            imaginable: side of the kernel δ, cells.
+            neighbour: side of the kernel ε, cells.
+        """
 
 
-def assemble_images(views: Views, layers: list[int]) -> Batch:
-    """Assemble a batch for first-person segmentation.
+class MapCollate(Collate):
+    """Batches of egocentric maps: the inputs of a unit, the label V_label and the neighbourhood M*_seen."""
 
-    Args:
-        views: stacked views.
-        layers: rows of the segmented categories in the category table; all other rows become background.
-    """
-    lookup = np.zeros(256, np.uint8)
-    lookup[np.array(layers) + 1] = np.arange(1, len(layers) + 1)
-    return {"rgb": _channels_first(views), "segmentation": torch.from_numpy(lookup[views["categories"]])}
+    fields = ("pose", "rgb", "depth", "occupied", "seen", "object")
+
+    def __call__(self, views: Views, layers: list[int], imaginable: int, neighbour: int) -> Batch:
+        target = views["object"][:, layers]
+        seen = views["seen"][:, None]
+        maps = {
+            "label": label(target, seen, imaginable),
+            "neighbourhood": neighbourhood(target, seen, neighbour),
+        }
+        return {**observations(views), **{name: _to_uint8(value) for name, value in maps.items()}}
+
+
+class ImageCollate(Collate):
+    """Batches for first-person segmentation: images and their ground truth; other categories become background."""
+
+    fields = ("pose", "rgb", "categories")
+
+    def __call__(self, views: Views, layers: list[int], imaginable: int, neighbour: int) -> Batch:
+        lookup = np.zeros(256, np.uint8)
+        lookup[np.array(layers) + 1] = np.arange(1, len(layers) + 1)
+        return {"rgb": _channels_first(views), "segmentation": torch.from_numpy(lookup[views["categories"]])}
 
 
 def observations(views: Views) -> Batch:

@@ -8,9 +8,9 @@ import numpy as np
 from lightning import LightningDataModule
 from torch.utils.data import DataLoader
 
-from imagination.data.collate import FIELDS, Batch, assemble, assemble_images
+from imagination.data.collate import Batch, Collate, MapCollate
 from imagination.geometry.morphology import kernel_cells
-from imagination.scenes.source import Split
+from imagination.scenes.source import SPLITS, Split
 from imagination.utils.cache import as_plain
 from imagination.utils.errors import UserError, check_choice, check_range
 from imagination.utils.process_group import global_rank, rotated_by_rank, world_size
@@ -41,7 +41,7 @@ class SceneData(LightningDataModule):
         eval_views: number of validation and test views.
         workers: number of rendering processes; 0 renders in the main process.
         micro_batches: number of parts of a training batch, which are computed one after the other to save memory.
-        predicts: kind of prediction: egocentric "maps" or first-person "images".
+        collate: function that assembles batches, that of the task.
 
     Raises:
         UserError: if a value is out of range or a category is unknown.
@@ -61,11 +61,11 @@ class SceneData(LightningDataModule):
         eval_views: Mapping[Split, int],
         workers: int,
         micro_batches: int = 1,
-        predicts: str = "maps",
+        collate: Collate = MapCollate(),  # noqa: B008  (stateless)
     ) -> None:
         super().__init__()
         self.observer = observer
-        self.predicts = check_choice("model.predicts", predicts, FIELDS)
+        self.collate = collate
         self.unit_categories = list(unit_categories)
         self.layers = [observer.categories.index(name) - 1 for name in unit_categories]
         self.sampler, self.eval_sampler = sampler, eval_sampler
@@ -96,9 +96,20 @@ class SceneData(LightningDataModule):
             self._pool = None
 
     def setup(self, stage: str) -> None:
-        splits: dict[str, list[Split]] = {"fit": ["train", "val"], "validate": ["val"], "test": ["test"]}
-        for split in splits.get(stage, []):
+        splits: dict[str, list[Split]] = {
+            "fit": ["train", "val"],
+            "validate": ["val"],
+            "test": ["test"],
+            "predict": ["test"],
+        }
+        for split in splits[stage]:
             self.survey(split)
+
+    def teardown(self, stage: str) -> None:
+        self.close()
+
+    def on_exception(self, exception: BaseException) -> None:
+        self.close()
 
     def survey(self, split: Split) -> None:
         """Build the scenes of a split and their ground truth in parallel.
@@ -133,13 +144,11 @@ class SceneData(LightningDataModule):
     @property
     def fields(self) -> tuple[str, ...]:
         """Names of the arrays of views that `assemble` needs."""
-        return FIELDS[self.predicts]
+        return self.collate.fields
 
     def assemble(self, views: Views) -> Batch:
         """Assemble a batch for the unit's categories."""
-        if self.predicts == "images":
-            return assemble_images(views, self.layers)
-        return assemble(views, self.layers, self.imaginable, self.neighbourhood)
+        return self.collate(views, self.layers, self.imaginable, self.neighbourhood)
 
     def train_dataloader(self) -> Iterable[Batch]:
         if self.epochs is None:
@@ -165,10 +174,33 @@ class SceneData(LightningDataModule):
     def test_dataloader(self) -> DataLoader[Batch]:
         return self._eval_dataloader("test")
 
+    def predict_dataloader(self) -> DataLoader[Batch]:
+        """Return the test views; `scene_dataloader` returns those of one scene."""
+        return self._eval_dataloader("test")
+
+    def scene_dataloader(self, scene: str, count: int, index: int = 0) -> DataLoader[Batch]:
+        """Return views of one scene, e.g. for `trainer.predict(task, data.scene_dataloader("test_0003", 8))`.
+
+        Args:
+            scene: name of the scene.
+            count: number of views.
+            index: seed of the poses.
+
+        Raises:
+            UserError: if the source has no such scene.
+        """
+        names = [name for split in SPLITS for name in self.observer.source.scenes(split)]
+        check_choice("scene", scene, names)
+        views = self.pool.submit(eval_views, scene, self.eval_sampler, index, count).result()
+        return self._batches(views)
+
     def _eval_dataloader(self, split: Split) -> DataLoader[Batch]:
         if split not in self._eval_views:
             self._eval_views[split] = self._render_eval_views(split)
-        views = self._eval_views[split]
+        return self._batches(self._eval_views[split])
+
+    def _batches(self, views: Views) -> DataLoader[Batch]:
+        """Return a loader of views in their order."""
         count = max(len(views["pose"]) // self.batch_size, 1)  # no batch is smaller than in training
         parts = {name: np.array_split(values, count) for name, values in views.items()}
         batches = [  # each rank takes every world_size-th view of a batch, without overlap

@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from imagination.config.compose import compose
 from imagination.config.overrides import override_group, override_key
 from imagination.config.validation import validate
+from imagination.models.task_kind import TaskKind
 from imagination.utils.errors import UserError
 
 if TYPE_CHECKING:
@@ -57,12 +58,13 @@ def evaluation_config(checkpoints: Sequence[Checkpoint], overrides: list[str]) -
         UserError: if two checkpoints predict the same category, the categories, resolution or camera of a checkpoint
             differ from those of the others or of the overrides, or an override changes a network.
     """
-    by_kind = {kind: [each for each in checkpoints if each.predicts == kind] for kind in ("maps", "images")}
+    by_kind = {kind: [each for each in checkpoints if each.kind is kind] for kind in TaskKind}
+    segmenters = by_kind[TaskKind.IMAGES]
     for group in by_kind.values():
         _refuse_duplicates(group)
     for other in checkpoints[1:]:
         other.check_compatible(checkpoints[0].config, f"checkpoint {checkpoints[0].path}")
-    categories = [name for each in by_kind["maps"] or by_kind["images"] for name in each.categories]
+    categories = [name for each in by_kind[TaskKind.MAPS] or segmenters for name in each.categories]
     overridden = {override_key(text) for text in overrides}
     inherited = [text for text in checkpoints[0].overrides if override_key(text) not in overridden]
     config = compose(
@@ -75,9 +77,9 @@ def evaluation_config(checkpoints: Sequence[Checkpoint], overrides: list[str]) -
         _refuse_missing(group, config)
     for checkpoint in checkpoints:
         checkpoint.check_compatible(config)
-    if by_kind["images"] and config.ade20k:
+    if segmenters and config.ade20k:
         raise UserError(
-            f"ade20k: got {config.ade20k} and checkpoint {by_kind['images'][0].path}, expected one segmentation "
+            f"ade20k: got {config.ade20k} and checkpoint {segmenters[0].path}, expected one segmentation "
             "network; leave one of them out"
         )
     return config

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Collection, Sequence
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from imagination.data.collate import Batch, observations
 from imagination.evaluation.approaches import Predictions
+from imagination.models.task_kind import TaskKind
 from imagination.models.unit import Prediction
 from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError
@@ -27,20 +28,30 @@ PREDICTION_SETTINGS = ("tta_hflip", "postprocess_dilation")
 
 
 @runtime_checkable
-class Model(Protocol):
-    """Interface of a trained imagination unit such as `LitUnit`."""
+class Network(Protocol):
+    """Trained network: a `LitTask`, or public weights such as `PublicHRNet`.
+
+    A network of `TaskKind.MAPS` has `predict`, one of `TaskKind.IMAGES` has `segment`.
+    """
 
     categories: list[str]
+
+    @property
+    def kind(self) -> TaskKind:
+        """Kind of prediction."""
+
+
+@runtime_checkable
+class Mapping(Network, Protocol):
+    """Network that predicts egocentric maps, such as `LitUnit`."""
 
     def predict(self, batch: Batch) -> Prediction:
         """Predict the probabilities of the unit's categories."""
 
 
 @runtime_checkable
-class Segmenter(Protocol):
-    """Interface of a first-person segmentation network such as `LitSegmentation`."""
-
-    categories: list[str]
+class Segmentation(Network, Protocol):
+    """Network that segments images, such as `LitSegmentation`."""
 
     def segment(self, rgb: Tensor, rows: int, columns: int) -> Tensor:
         """Predict the class of each pixel, (B, `rows`, `columns`): 0 for no category, else the category's index + 1."""
@@ -63,15 +74,15 @@ class Predictor:
 
     def __init__(
         self,
-        models: Sequence[Model | Segmenter],
+        models: Sequence[Network],
         categories: Sequence[str],
         table: Sequence[str],
         batch_size: int,
         precision: str = "32-true",
     ) -> None:
         self.models = list(models)
-        self.units = [model for model in models if isinstance(model, Model)]
-        self.segmenters = [model for model in models if isinstance(model, Segmenter)]
+        self.units = [cast(Mapping, model) for model in models if model.kind is TaskKind.MAPS]
+        self.segmenters = [cast(Segmentation, model) for model in models if model.kind is TaskKind.IMAGES]
         self.batch_size = batch_size
         self.precision = resolved(precision)
         predicted = [name for unit in self.units for name in unit.categories]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from imagination.data.datamodule import SceneData
 from imagination.evaluation import saved_maps, single_views
 from imagination.evaluation.approaches import NEEDS, Setting
-from imagination.evaluation.prediction import Model, Predictor, Segmenter
+from imagination.evaluation.prediction import Network, Predictor
 from imagination.evaluation.protocol import MappingProtocol, ModelUnderTest
 from imagination.evaluation.records import Report, SelectedThresholds, write_scenes
 from imagination.scenes.source import Credit, Credited, SpareScenes
@@ -40,7 +40,7 @@ class Evaluation(NamedTuple):
 
 
 def model_under_test(
-    data: SceneData, models: Sequence[Model | Segmenter], precision: str, keep: bool = True
+    data: SceneData, models: Sequence[Network], precision: str, keep: bool = True
 ) -> ModelUnderTest:
     """Combine trained networks, which predict in `precision`, with the scenes and worker processes of their data."""
     observer = data.observer
@@ -53,7 +53,7 @@ def model_under_test(
 
 
 def evaluate(
-    protocol: MappingProtocol, data: SceneData, models: Sequence[Model | Segmenter], folder: Path
+    protocol: MappingProtocol, data: SceneData, models: Sequence[Network], folder: Path
 ) -> Evaluation:
     """Select thresholds on validation scenes, evaluate on test scenes and write the records: maps and single views.
 

@@ -1,31 +1,31 @@
 """LightningModule that trains a unit."""
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Float
-from lightning import LightningModule
 from torch import Tensor
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
+from torchmetrics import Metric
 
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.morphology import kernel_cells
 from imagination.models.ego_metrics import THRESHOLDS, EgoScores, best_thresholds, named_scores
-from imagination.models.losses import Loss
+from imagination.models.lit_task import Batch, LitTask, ScoreTable
+from imagination.models.losses import Loss, batch_counts
+from imagination.models.task_kind import TaskKind
 from imagination.models.unit import Prediction, Unit
 from imagination.utils.errors import UserError, check_range
 from imagination.utils.process_group import sum_over_ranks
 
-Batch = Mapping[str, Tensor]
-"""rgb uint8 (B, 3, H, W); depth float16 (B, 1, H, W), metres; occupied and seen uint8 (B, 1, V, V); label and
-neighbourhood (M*_seen of the ground truth) uint8 (B, C, V, V); counts int64 (3, C) in a micro-batch, see
-`batch_counts`, and micro_batches int64 (), their number. Further entries are ignored."""
 
-
-class LitUnit(LightningModule):
+class LitUnit(LitTask):
     """LightningModule that trains a unit and scores its egocentric maps.
+
+    A batch holds rgb uint8 (B, 3, H, W); depth float16 (B, 1, H, W), metres; occupied and seen uint8 (B, 1, V, V);
+    label and neighbourhood (M*_seen of the ground truth) uint8 (B, C, V, V); in a micro-batch, counts int64 (3, C), see
+    `batch_counts`, and micro_batches int64 (), their number. Further entries are ignored.
 
     Args:
         unit: network to train.
@@ -43,6 +43,8 @@ class LitUnit(LightningModule):
             micro-batches with a loss that needs the whole batch.
     """
 
+    kind = TaskKind.MAPS
+    target = "label"
     chosen: Tensor
 
     def __init__(
@@ -57,13 +59,10 @@ class LitUnit(LightningModule):
         channels_last: bool = True,
         compile: bool = False,
     ) -> None:
-        super().__init__()
+        super().__init__(unit.categories, optimizer, scheduler)
         self.unit = unit.to(memory_format=torch.channels_last) if channels_last else unit
         self.compiled = compile
         self.loss = loss
-        self.categories: list[str] = list(unit.categories)
-        self.optimizer = optimizer
-        self.scheduler = scheduler
         check_range("model.module.valid_threshold", valid_threshold, 0, 1)
         kernel = kernel_cells(neighbourhood, ego.resolution)
         self.val_scores = EgoScores(len(self.categories), kernel, valid_threshold)
@@ -100,47 +99,39 @@ class LitUnit(LightningModule):
         if self.compiled:
             self.unit.compile()
 
-    def training_step(self, batch: Batch, index: int) -> Tensor:
-        loss, parts = self.loss(self(batch), batch["label"], batch["neighbourhood"], batch.get("counts"))
-        # Lightning averages over micro-batches as over accumulated batches, but their losses add up
-        loss = loss * batch.get("micro_batches", 1)
-        values = {
-            "loss": loss,
-            **parts,
-            "empty_labels": (batch["label"].amax(dim=(2, 3)) == 0).float().mean(),
-            "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"],
-        }
-        self.log_dict(
-            {f"train/{name}": value for name, value in values.items()},
-            batch_size=len(batch["label"]),
-            sync_dist=True,
-        )
-        return loss
-
-    def validation_step(self, batch: Batch, index: int) -> None:
-        self._score(batch, "val", self.val_scores)
-
-    def test_step(self, batch: Batch, index: int) -> None:
-        self._score(batch, "test", self.test_scores)
-
-    def on_validation_epoch_end(self) -> None:
-        self.chosen.copy_(best_thresholds(self.val_scores.compute()))
-        self.log("val/threshold", self.selected_thresholds.mean())
-        self._log_scores("val", self.val_scores)
+    def predict_step(self, batch: Batch, index: int = 0) -> Prediction:
+        """Return the probabilities of V_object of a batch; see `predict`."""
+        return self.predict(batch)
 
     @property
     def selected_thresholds(self) -> Float[Tensor, " c"]:
         """Threshold of each category's egocentric map."""
         return torch.tensor(THRESHOLDS, device=self.chosen.device)[self.chosen]
 
-    def on_test_epoch_end(self) -> None:
-        self._log_scores("test", self.test_scores)
+    @property
+    def score_table(self) -> ScoreTable:
+        """Layout of tables/ego.csv: scores over all cells, cells seen by depth, and unseen cells."""
+        suffixes = {"all": "", "seen": "_seen", "unseen": "_unseen"}
+        return ScoreTable("Egocentric", "ego", "cells", suffixes)
 
-    def configure_optimizers(self) -> Any:  # Lightning's return type is a large union
-        optimizer = self.optimizer(self.parameters())
-        return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer)}
+    def training_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss, its weights and the fraction of empty labels."""
+        loss, parts = self.loss(self(batch), batch["label"], batch["neighbourhood"], batch.get("counts"))
+        # Lightning averages over micro-batches as over accumulated batches, but their losses add up
+        loss = loss * batch.get("micro_batches", 1)
+        return loss, {**parts, "empty_labels": (batch["label"].amax(dim=(2, 3)) == 0).float().mean()}
 
-    def _score(self, batch: Batch, stage: str, scores: EgoScores) -> None:
+    def batch_totals(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the counts of the whole batch, from which the loss computes its weights."""
+        return {"counts": batch_counts(batch["label"], batch["neighbourhood"])}
+
+    def on_validation_epoch_end(self) -> None:
+        self.chosen.copy_(best_thresholds(self.val_scores.compute()))
+        self.log("val/threshold", self.selected_thresholds.mean())
+        super().on_validation_epoch_end()
+
+    def score(self, batch: Batch, stage: str, scores: Metric) -> None:
+        """Log the loss of a batch and count its cells."""
         logits = self(batch).float()
         loss, _ = self.loss(logits, batch["label"], batch["neighbourhood"])
         # each rank is weighted by the views of all ranks, because its loss is already scaled by its fraction of them
@@ -148,8 +139,6 @@ class LitUnit(LightningModule):
         self.log(f"{stage}/loss", loss, batch_size=int(views), sync_dist=True)
         scores.update(logits.sigmoid(), batch["label"], batch["seen"])
 
-    def _log_scores(self, stage: str, scores: EgoScores) -> None:
-        """Log the scores of all ranks at the selected thresholds and reset them."""
-        named = named_scores(scores.compute(), self.chosen, self.categories)
-        self.log_dict({f"{stage}/{name}": value for name, value in named.items()})
-        scores.reset()
+    def named_scores(self, scores: Metric) -> dict[str, Tensor]:
+        """Return the scores at the selected thresholds."""
+        return named_scores(scores.compute(), self.chosen, self.categories)

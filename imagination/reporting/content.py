@@ -300,7 +300,7 @@ def _charts(results: Results) -> list[training_curves.Chart]:
     logged = [(run, run.folder / training_curves.FOLDER) for run in results.trained]
     logged = [(run, folder) for run, folder in logged if folder.is_dir()]
     if results.trained != [results]:
-        curves = [(run.name, run.predicts, training_curves.read(folder)) for run, folder in logged]
+        curves = [(run.name, run.kind, training_curves.read(folder)) for run, folder in logged]
         return training_curves.compared(curves)
     charts = [chart for _, folder in logged for chart in training_curves.charts(training_curves.read(folder))]
     if logged and not charts:

@@ -75,8 +75,8 @@ class Results:
         return str(at(self.config, "data.scenes._target_") or "scenes").rpartition(".")[2]
 
     @property
-    def predicts(self) -> str:
-        """Output of the run's network: egocentric "maps" or first-person "images"."""
+    def kind(self) -> str:
+        """Kind of the run's network, one of `TaskKind`; empty if the config does not hold it."""
         return str(at(self.config, "model.predicts") or "")
 
     @property

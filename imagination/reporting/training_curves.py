@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from imagination.evaluation.single_views import CELLS
+from imagination.models.task_kind import TaskKind
 from imagination.reporting.figures.curves import Curve
 
 FOLDER = "tensorboard"
@@ -17,9 +18,6 @@ COMPARED = {
     "val/iou": ("iou", "IoU", "Single views of validation scenes"),
 }
 """Curves that compare networks: name in file names, label of the axis and title, by tag."""
-
-KINDS = {"maps": "units", "images": "first-person segmentation"}
-"""Kinds of networks by output."""
 
 
 class Chart(NamedTuple):
@@ -49,17 +47,17 @@ def compared(networks: Sequence[tuple[str, str, dict[str, Curve]]]) -> list[Char
     """Return charts that compare networks, separately for units and for first-person segmentation.
 
     Args:
-        networks: name, kind of output ("maps" or "images") and every scalar of each network.
+        networks: name, kind of task (see `TaskKind`) and every scalar of each network.
     """
     result = []
-    for (kind, kind_name), (tag, (name, ylabel, title)) in product(KINDS.items(), COMPARED.items()):
+    for kind, (tag, (name, ylabel, title)) in product(TaskKind, COMPARED.items()):
         curves = {
             network: scalars[tag]
-            for network, predicts, scalars in networks
-            if predicts == kind and tag in scalars
+            for network, trained, scalars in networks
+            if trained == kind and tag in scalars
         }
         if curves:
-            result.append(Chart(f"curve_{name}_{kind}", f"{title}, {kind_name}", ylabel, curves))
+            result.append(Chart(f"curve_{name}_{kind}", f"{title}, {kind.networks}", ylabel, curves))
     return result
 
 
@@ -77,7 +75,7 @@ def charts(curves: dict[str, Curve]) -> list[Chart]:
         by_approach = {part[2]: curves["/".join(part)] for part in parts if part[1] == category}
         title = f"Global maps of a few validation scenes, {category}"
         result.append(Chart(f"curve_global_{category}", title, "pooled IoU", by_approach))
-    if "train/learning_rate" in curves:
-        single = {"learning rate": curves["train/learning_rate"]}
+    if "lr" in curves:
+        single = {"learning rate": curves["lr"]}
         result.append(Chart("curve_learning_rate", "Learning rate", "learning rate", single))
     return result

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from imagination.evaluation.records import Report
 from imagination.models.segmentation.ade20k import SOURCE
+from imagination.models.task_kind import TaskKind
 from imagination.runs.checkpoint import Checkpoint
 from imagination.utils.tabular import Row
 
@@ -59,4 +60,4 @@ def _counted(checkpoint: Checkpoint) -> Row:
 
 def _segments(checkpoint: Checkpoint, report: Report) -> bool:
     """Return whether a checkpoint segmented the images of the evaluation."""
-    return checkpoint.predicts == "images" and bool(report.first_person)
+    return checkpoint.kind is TaskKind.IMAGES and bool(report.first_person)

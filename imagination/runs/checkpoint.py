@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from hydra.errors import HydraException
 from hydra.utils import instantiate
-from lightning import Callback, LightningModule, Trainer
+from lightning import LightningModule
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -23,29 +23,23 @@ from omegaconf.errors import OmegaConfBaseException
 from imagination.config.compose import compose
 from imagination.config.key_roles import RESULT_ROLES, role
 from imagination.config.overrides import set_keys
+from imagination.models.task_kind import TaskKind
 from imagination.models.weights import mismatches
 from imagination.runs.folder import LAST
 from imagination.utils.atomic_io import replacing
-from imagination.utils.errors import UserError
+from imagination.utils.errors import UserError, check_choice
 
-KEY = "imagination"
-"""Key of the configuration in the dictionary that Lightning saves."""
+KEY = LightningModule.CHECKPOINT_HYPER_PARAMS_KEY
+"""Key of the hyperparameters in the dictionary that Lightning saves: overrides (`choices`) and plain values."""
 
 OVERRIDE = re.compile(r"(?!hydra)[+~]*[A-Za-z][\w./@]*(=.*)?")
 """Pattern of the allowed overrides, e.g. "model/encoder=timm" or "seed=3"; overrides of Hydra itself are refused."""
 
 
-class ConfigInCheckpoint(Callback):
-    """Callback that saves the run's overrides and plain values in each of its checkpoints."""
-
-    def __init__(self, config: DictConfig) -> None:
-        values = plain_values(config)
-        self.saved_config = {"choices": values.pop("choices"), "values": values}
-
-    def on_save_checkpoint(
-        self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]
-    ) -> None:
-        checkpoint[KEY] = self.saved_config
+def hyperparameters(config: DictConfig) -> dict[str, Any]:
+    """Return the hyperparameters that checkpoints of a run hold: the overrides and plain values of its config."""
+    values = plain_values(config)
+    return {"choices": values.pop("choices"), "values": values}
 
 
 class CheckpointFiles(TorchCheckpointIO):
@@ -78,11 +72,20 @@ def read_state(path: Path, map_location: Any = "cpu") -> dict[str, Any]:
             f"checkpoint {path}: cannot be read; it is truncated or holds more than plain data; use another checkpoint "
             "(each run keeps checkpoints/last.ckpt and checkpoints/best.ckpt)"
         ) from error
-    if not isinstance(state, dict) or KEY not in state or "state_dict" not in state:
+    if not isinstance(state, dict) or "state_dict" not in state or not _has_config(state.get(KEY)):
         raise UserError(
             f"checkpoint {path}: was not written by imagination.train; expected a file of checkpoints/"
         )
     return state
+
+
+def load(path: str | Path) -> LightningModule:
+    """Return the trained module of a checkpoint; `LitTask.load_from_checkpoint` calls this function.
+
+    Raises:
+        UserError: see `Checkpoint`.
+    """
+    return Checkpoint.read(path).model()
 
 
 @dataclass(frozen=True)
@@ -160,9 +163,9 @@ class Checkpoint:
         return list(self.config.unit_categories)
 
     @property
-    def predicts(self) -> str:
-        """Kind of prediction: egocentric "maps" or first-person "images"."""
-        return str(self.config.model.predicts)
+    def kind(self) -> TaskKind:
+        """Kind of prediction."""
+        return TaskKind(check_choice("model.predicts", self.config.model.predicts, TaskKind))
 
     @property
     def training_stats(self) -> dict[str, Any]:
@@ -174,7 +177,10 @@ class Checkpoint:
         last = self.path.with_name(LAST.name)
         callbacks = (read_state(last) if last.is_file() else self.state).get("callbacks", {})
         counts: dict[str, Any] = callbacks.get("TrainingStats", {})
-        return counts and {**counts, "flat": callbacks.get("EarlyStopping", {}).get("flat", False)}
+        states = (state for key, state in callbacks.items() if key.startswith("EarlyStopping"))
+        stopping: dict[str, Any] = next(states, {})
+        flat = stopping.get("wait_count", 0) >= stopping.get("patience", 1)
+        return counts and {**counts, "flat": flat}
 
     @property
     def scenes(self) -> dict[str, str]:
@@ -224,6 +230,11 @@ class Checkpoint:
                 f"the program that it was trained with; {mismatches(self.state['state_dict'], model.state_dict())}"
             ) from error
         return model.eval()
+
+
+def _has_config(saved: Any) -> bool:
+    """Return whether saved hyperparameters are those of a run."""
+    return isinstance(saved, dict) and {"choices", "values"} <= saved.keys()
 
 
 def plain_values(config: DictConfig) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import time
-from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,6 @@ from imagination.utils.process_group import global_rank, started_by_torchrun
 
 if TYPE_CHECKING:
     from lightning.fabric.plugins.environments.cluster_environment import ClusterEnvironment
-    from lightning.pytorch.strategies import Strategy
 
 FOLDER_KEY = "IMAGINATION_RUN"
 """Environment variable, or key in torchrun's store, that holds the run folder."""
@@ -52,13 +50,6 @@ def is_process_lost(error: BaseException) -> bool:
     message = str(error).lower()
     kinds = (distributed.DistBackendError, distributed.DistNetworkError)
     return isinstance(error, kinds) or ("gloo" in message and "connection" in message)
-
-
-def strategy(processes: int) -> Strategy | str:
-    """Return Lightning's DDP strategy for several processes; its timeout covers an evaluation on rank 0 alone."""
-    from lightning.pytorch.strategies import DDPStrategy
-
-    return DDPStrategy(timeout=timedelta(days=1)) if processes > 1 else "auto"
 
 
 def cluster_environment() -> ClusterEnvironment:

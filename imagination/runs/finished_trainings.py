@@ -9,6 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 from imagination.config.compose import compose
 from imagination.config.key_roles import Role, role
 from imagination.config.overrides import override_group, override_key, result_overrides
+from imagination.models.task_kind import TaskKind
 from imagination.runs.command import run_command
 from imagination.runs.folder import BEST, COMPOSED, LAST
 from imagination.runs.resume import PROGRAM
@@ -32,7 +33,7 @@ def training_config(experiment: str, overrides: Sequence[str]) -> DictConfig:
 
 def training_key(config: DictConfig) -> str:
     """Return the hash of what determines the result of a training: keys of the role `TRAINING` and the program."""
-    if config.model.predicts == "maps":  # units do not read the node of segmentation_hrnet
+    if config.model.predicts == TaskKind.MAPS:  # units do not read the node of segmentation_hrnet
         config = OmegaConf.masked_copy(config, [key for key in config if key != "hrnet"])
     return f"{config_key(config, set(Role) - {Role.TRAINING})} {config.get('program')}"
 

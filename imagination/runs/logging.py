@@ -51,9 +51,12 @@ def logging_to(file: Path) -> Iterator[None]:
 
 
 def quiet_lightning() -> None:
-    """Silence Lightning's info messages, and its warnings that do not apply here."""
+    """Silence Lightning's info messages except requested reports, and its warnings that do not apply here."""
+    logging.getLogger("lightning").handlers.clear()  # the messages reach the handlers of the run
     for name in ("lightning.pytorch", "lightning.fabric.utilities.distributed"):
         logging.getLogger(name).setLevel(logging.WARNING)
+    for name in ("lightning.pytorch.profilers", "lightning.pytorch.callbacks.model_summary"):
+        logging.getLogger(name).setLevel(logging.INFO)
     warnings.filterwarnings("ignore", category=FutureWarning, module=r"lightning\.")
     # expected when a run resumes
     warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")

@@ -5,11 +5,8 @@ from __future__ import annotations
 import resource
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig, OmegaConf
-
-from imagination.config.overrides import leaves
 from imagination.runs.folder import LAST
 from imagination.runs.resume import Run
 from imagination.utils.atomic_io import write_text
@@ -18,61 +15,24 @@ from imagination.utils.timing import stage_timer
 if TYPE_CHECKING:
     from lightning import Trainer
 
-REGIONS = {"all": "", "seen": "_seen", "unseen": "_unseen"}
-"""Suffix of the score names for each set of cells of the egocentric map."""
-
-HYPERPARAMETERS = (
-    *("name", "seed", "unit_categories", "data", "kernels", "aggregation_factor", "model", "mapping"),
-)
-"""Config nodes that TensorBoard shows as hyperparameters."""
+    from imagination.models.lit_task import LitTask
 
 
-def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
-    """Write the hyperparameters and final scores of a run for the HParams tab of TensorBoard."""
-    from lightning.pytorch.loggers import TensorBoardLogger
-    from torch.utils.tensorboard import SummaryWriter
-    from torch.utils.tensorboard.summary import hparams
-
-    scores = {
-        name: float(value)
-        for name, value in trainer.callback_metrics.items()
-        if name.startswith(("test/", "global/"))
-    }
-    for logger in trainer.loggers:
-        # TensorBoardLogger.log_hyperparams would log the scores a second time
-        if isinstance(logger, TensorBoardLogger):
-            with SummaryWriter(logger.log_dir) as writer:
-                for event in hparams(hyperparameters(config), scores):  # type: ignore[no-untyped-call]
-                    writer.file_writer.add_summary(event)
-
-
-def hyperparameters(config: DictConfig) -> dict[str, Any]:
-    """Return the hyperparameters by dotted key; a node with a `_target_` has the name of its class as the value."""
-    values: Any = OmegaConf.to_container(config, resolve=True)
-    items = leaves({node: values[node] for node in HYPERPARAMETERS})
-    return {key: str(value) if isinstance(value, list) else value for key, value in items}
-
-
-def write_single_view_scores(run: Run, trainer: Trainer) -> str:
+def write_single_view_scores(run: Run, trainer: Trainer, task: LitTask) -> str:
     """Write the scores on single views of test scenes; return a message with the IoU and the number of samples.
 
     The scores of a unit (egocentric maps) are written to tables/ego.csv, those of a segmentation network (images) to
     tables/first_person.csv.
     """
     scores = {name: float(value) for name, value in trainer.callback_metrics.items()}
-    if "test/iou_seen" in scores:
-        kind, file, column, suffixes = "Egocentric", "ego", "cells", REGIONS
-        ious = [f"{scores[f'test/iou{suffix}']:.3f} over {cells} cells" for cells, suffix in suffixes.items()]
-    else:
-        kind, file, column = "First-person", "first_person", "category"
-        suffixes = {"mean": ""} | {name: f"_{name}" for name in run.config.unit_categories}
-        ious = [f"{name} {scores[f'test/iou{suffix}']:.3f}" for name, suffix in suffixes.items()]
-    lines = [f"{column},iou,precision,recall"]
-    for name, suffix in suffixes.items():
+    table = task.score_table
+    lines = [f"{table.column},iou,precision,recall"]
+    for name, suffix in table.suffixes.items():
         values = (f"{scores[f'test/{metric}{suffix}']:.4f}" for metric in ("iou", "precision", "recall"))
         lines.append(",".join([name, *values]))
-    write_text(run.folder / "tables" / f"{file}.csv", "\n".join(lines) + "\n")
-    message = f"{kind} IoU on views of test scenes: {', '.join(ious)} (tables/{file}.csv)"
+    write_text(run.folder / "tables" / f"{table.name}.csv", "\n".join(lines) + "\n")
+    ious = ", ".join(f"{name} {scores[f'test/iou{suffix}']:.3f}" for name, suffix in table.suffixes.items())
+    message = f"{table.title} IoU on views of test scenes by {table.column}: {ious} (tables/{table.name}.csv)"
     if "data/collected_views" in scores:  # missing if a finished run is only tested again
         views, draws = scores["data/collected_views"], scores["data/draws_per_view"]
         message += f"\nTrained on {views * draws:.0f} samples of {views:.0f} distinct views, {draws:.1f} draws per view"
@@ -86,7 +46,8 @@ def summary(run: Run, checkpoint: Path | None) -> str:
         f"{name} {value:.0f} s ({value / seconds['total']:.0%})" for name, value in seconds.items()
     )
     lines = [f"Time: {parts}", f"Peak memory: at most {peak_memory(run.config.data.workers):.1f} GB"]
-    lines.append(f"Results: {run.folder}/ (tables/, figures/, maps/, checkpoints/, tensorboard/)")
+    folders = ", ".join(f"{path.name}/" for path in sorted(run.folder.iterdir()) if path.is_dir())
+    lines.append(f"Results: {run.folder}/ ({folders})")
     checkpoint = checkpoint or run.folder / LAST
     if checkpoint.is_file():
         lines.append(f"Evaluate again: python -m imagination.evaluate ckpt={checkpoint}")

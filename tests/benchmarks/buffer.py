@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imagination.data.collate import assemble
+from imagination.data.collate import MapCollate
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.geometry.morphology import kernel_cells
 from imagination.views.collector import Views, render_views
@@ -38,7 +38,7 @@ def run(folder: str) -> list[Figure]:
             "copy in": copying(*(store[:COLLECTION] for store in buffer._store.values())),
             "draw": lambda: buffer.draw(BATCH, rng),
             "copy out": copying(*batch.values()),
-            "assemble": lambda: assemble(batch, [0], *kernels),
+            "assemble": lambda: MapCollate()(batch, [0], *kernels),
         },
         5.0,
     )

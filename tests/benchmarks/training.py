@@ -18,7 +18,7 @@ from torch.profiler import ProfilerActivity, profile
 from torch.utils.flop_counter import FlopCounterMode
 
 from imagination.data.augmentation import mirrored
-from imagination.data.collate import Batch, assemble
+from imagination.data.collate import Batch, MapCollate
 from imagination.data.replay_buffer import ReplayBuffer
 from imagination.geometry.morphology import kernel_cells
 from imagination.models.lit_unit import LitUnit
@@ -170,7 +170,7 @@ def batches(folder: str, layers: int, collections: int = 25) -> Callable[[], Bat
     def draw() -> Batch:
         views = buffer.draw(run_config.data.batch_size, rng)
         flipped = rng.random(run_config.data.batch_size) < run_config.data.hflip_probability
-        return assemble(mirrored(views, flipped), list(range(layers)), *kernels)
+        return MapCollate()(mirrored(views, flipped), list(range(layers)), *kernels)
 
     return draw
 

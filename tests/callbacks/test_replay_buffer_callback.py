@@ -12,20 +12,21 @@ from imagination.callbacks import replay_buffer
 from imagination.callbacks.replay_buffer import ReplayBufferCallback
 from imagination.data.collate import Batch
 from imagination.data.datamodule import SceneData
+from imagination.models.lit_task import LitTask
 from imagination.views.collector import Collector
 
 
-def batches(device: str, accumulate: int) -> list[Batch]:
-    """Return the batches of the third epoch, drawn from a hundred views."""
+def batches(device: str, accumulate: int, epoch: int = 2, overfit: int = 0) -> list[Batch]:
+    """Return the batches of an epoch, drawn from a hundred views."""
     callback = ReplayBufferCallback(200, 5, 7, 0.9, 0, 0.5, 10)
     callback.buffer.insert(
         {"pose": np.zeros((100, 3)), "rgb": np.arange(4800, dtype=np.uint8).reshape(100, 4, 4, 3)}
     )
-    data = Mock(spec=SceneData, seed=1, batch_size=12, predicts="maps", micro_batches=accumulate)
+    data = Mock(spec=SceneData, seed=1, batch_size=12, micro_batches=accumulate)
     data.assemble = lambda views: {"rgb": torch.from_numpy(views["rgb"]).permute(0, 3, 1, 2)}
-    trainer = Mock(spec=Trainer, current_epoch=2, datamodule=data)
+    trainer = Mock(spec=Trainer, current_epoch=epoch, max_epochs=5, datamodule=data, overfit_batches=overfit)
     trainer.strategy.root_device = torch.device(device)
-    callback.on_fit_start(trainer, Mock(spec=LightningModule))
+    callback.on_fit_start(trainer, Mock(spec=LitTask, batch_totals=lambda batch: {}))
     assert len(data.epochs) == 7 * accumulate
     return list(data.epochs)
 
@@ -61,13 +62,16 @@ def test_epochs_after_the_last_collection_reuse_the_views(size: int, expected: l
         return wait
 
     collector = Mock(spec=Collector, views_per_collection=10, start=start)
-    data = Mock(spec=SceneData, seed=1, batch_size=4, workers=1, fields=("pose",), predicts="maps")
+    data = Mock(spec=SceneData, seed=1, batch_size=4, workers=1, fields=("pose",), epochs=range(7))
     data.collector.return_value = collector
     # two collections before the first epoch, then three
     callback = ReplayBufferCallback(size, 5, 7, 0.5, 10, 0.0, 3)
     collected = []
     for epoch, indices in enumerate(expected):
-        trainer = Mock(spec=Trainer, current_epoch=epoch, max_epochs=5, datamodule=data)
+        trainer = Mock(
+            spec=Trainer, current_epoch=epoch, max_epochs=5, datamodule=data, overfit_batches=0,
+            num_training_batches=7,
+        )  # fmt: skip
         module = Mock(spec=LightningModule)
         requested.clear()
         callback.on_train_epoch_start(trainer, module)
@@ -82,3 +86,10 @@ def test_epochs_after_the_last_collection_reuse_the_views(size: int, expected: l
     rng = np.random.default_rng(0), np.random.default_rng(0)
     draws = [each.buffer.draw(4, own)["pose"] for each, own in zip((callback, resumed), rng, strict=True)]
     np.testing.assert_array_equal(*draws)
+
+
+def test_overfitting_draws_the_same_batches_in_every_epoch() -> None:
+    """With `trainer.overfit_batches`; in an ordinary training every epoch has its own batches."""
+    for overfit, equal in ((3, True), (0, False)):
+        first, other = (batches("cpu", 1, epoch, overfit) for epoch in (0, 2))
+        assert all(torch.equal(a["rgb"], b["rgb"]) for a, b in zip(first, other, strict=True)) == equal

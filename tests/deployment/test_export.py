@@ -22,7 +22,7 @@ from imagination.deployment.load import load
 from imagination.deployment.torch_backend import inputs
 from imagination.mapping.predictor import Observation
 from imagination.mapping.semantic_mapper import SemanticMapper
-from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint
+from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters
 from imagination.utils.errors import UserError
 from tests.conftest import ROOT, Command
 from tests.helpers.checkpoints import make_checkpoint, samples
@@ -187,7 +187,7 @@ def test_a_checkpoint_that_segments_images_is_refused(files: Path, tmp_path: Pat
     state = torch.load(files / "chair.ckpt", weights_only=True)
     config = compose("train", ["+experiment=segmentation_hrnet", "scale=test", "paths.run=."])
     OmegaConf.update(config, "choices", ["+experiment=segmentation_hrnet", "scale=test"])
-    torch.save(state | {KEY: ConfigInCheckpoint(config).saved_config}, tmp_path / "hrnet.ckpt")
+    torch.save(state | {KEY: hyperparameters(config)}, tmp_path / "hrnet.ckpt")
     with pytest.raises(UserError, match=r"unit: got .*hrnet\.ckpt.* images"):
         load(tmp_path / "hrnet.ckpt")
 

@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.compose import compose
 from imagination.evaluation.checkpoint_config import check_scenes, evaluation_config
-from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint
+from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters
 from imagination.utils.errors import UserError
 from tests.helpers.room_source import Rooms
 
@@ -18,7 +18,7 @@ def checkpoint(choices: list[str], *values: str, name: str = "best") -> Checkpoi
     """Return the checkpoint of a run with these overrides, without weights."""
     config = compose("train", [*choices, *values, "paths.run=."])
     OmegaConf.update(config, "choices", [*choices, *values])
-    return Checkpoint(Path(f"{name}.ckpt"), {KEY: ConfigInCheckpoint(config).saved_config, "state_dict": {}})
+    return Checkpoint(Path(f"{name}.ckpt"), {KEY: hyperparameters(config), "state_dict": {}})
 
 
 @pytest.fixture(scope="module")

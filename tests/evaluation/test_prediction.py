@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from imagination.evaluation.prediction import Predictor
+from imagination.models.task_kind import TaskKind
 from imagination.models.unit import Prediction
 from imagination.utils.errors import UserError
 
@@ -14,6 +15,8 @@ TABLE = ["chair", "bed", "table"]
 
 class Constant(nn.Module):
     """Unit that predicts a constant for each category, plus the brightness of the image."""
+
+    kind = TaskKind.MAPS
 
     def __init__(self, **values: float) -> None:
         super().__init__()
@@ -28,6 +31,8 @@ class Constant(nn.Module):
 
 class Painter(nn.Module):
     """Segmentation network that predicts its last category everywhere."""
+
+    kind = TaskKind.IMAGES
 
     def __init__(self, *categories: str) -> None:
         super().__init__()
@@ -64,6 +69,7 @@ def test_networks_predict_in_the_requested_precision(gpu: bool, monkeypatch: pyt
     monkeypatch.setattr(torch.cuda, "is_available", lambda: gpu)
 
     class Sum(nn.Module):
+        kind = TaskKind.MAPS
         categories = ("chair",)
 
         def predict(self, batch: dict[str, Tensor]) -> Prediction:

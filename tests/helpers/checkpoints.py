@@ -13,7 +13,7 @@ from imagination.geometry.pose import Pose
 from imagination.geometry.projection import project_depth
 from imagination.mapping.predictor import Observation
 from imagination.models.ego_metrics import THRESHOLDS
-from imagination.runs.checkpoint import KEY, ConfigInCheckpoint
+from imagination.runs.checkpoint import KEY, hyperparameters
 from imagination.scenes.renderer import Renderer
 from tests.helpers.rooms import tiny_room
 from tests.helpers.toy_units import CAMERA, EGO, Toy
@@ -36,7 +36,7 @@ def make_checkpoint(path: Path, *choices: str, threshold: float = 0.5) -> Path:
     model = instantiate(config.model.module)
     liven(model.unit, config)
     model.chosen.fill_(THRESHOLDS.index(threshold))
-    spec = ConfigInCheckpoint(config).saved_config
+    spec = hyperparameters(config)
     torch.save({"state_dict": model.state_dict(), KEY: spec}, path)
     return path
 

@@ -13,7 +13,7 @@ from imagination.evaluation.records import Example, Key, Report
 from imagination.evaluation.threshold_selection import SelectedThreshold
 from imagination.evaluation.trials import Trial
 from imagination.geometry.grid import Grid
-from imagination.reporting.figures.maps import CORRECT, FALSE, MISSED, agreement_image, side_by_side
+from imagination.reporting.figures.maps import CORRECT, FALSE, MISSED, agreement_image
 from imagination.reporting.figures.write import write_figures
 from imagination.reporting.mapping_report import FurtherTables, Provenance, write_tables
 from imagination.reporting.tables import SCREEN_MAPPING, SCREEN_PAIRED, mapping_rows, paired_rows, to_screen
@@ -147,7 +147,6 @@ def test_colours_distinguish_correct_false_and_missed(report: Report) -> None:
     assert tuple(image[5, 5]) == CORRECT
     assert tuple(image[9, 5]) == FALSE
     assert tuple(image[4, 5]) == MISSED
-    assert side_by_side(example).shape[2] == 3
 
 
 def test_further_tables_are_written_if_they_have_rows(tmp_path: Path, report: Report) -> None:

@@ -25,7 +25,8 @@ def counts(epochs: int) -> dict[str, Any]:
 def test_every_network_has_its_training_statistics(tmp_path: Path) -> None:
     network = tmp_path / "network"
     checkpoint(network / "last.ckpt", "hrnet", "images", ["chair", "bed"], {
-        "TrainingStats": counts(9), "EarlyStopping": {"flat": True},
+        "TrainingStats": counts(9),
+        "EarlyStopping{'monitor': 'val/iou', 'mode': 'max'}": {"wait_count": 3, "patience": 3},
     })  # fmt: skip
     best = checkpoint(
         network / "best.ckpt", "hrnet", "images", ["chair", "bed"], {"TrainingStats": counts(5)}

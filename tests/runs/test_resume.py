@@ -19,7 +19,7 @@ from imagination.config.trust import check_targets
 from imagination.evaluation.checkpoint_config import evaluation_config
 from imagination.models.encoders import create
 from imagination.models.schedulers import CosineAnnealing
-from imagination.runs.checkpoint import KEY, Checkpoint, CheckpointFiles, ConfigInCheckpoint, read_state
+from imagination.runs.checkpoint import KEY, Checkpoint, CheckpointFiles, hyperparameters, read_state
 from imagination.runs.folder import LAST, create_folder, point_latest, restore_latest
 from imagination.utils.errors import UserError
 from tests.conftest import ROOT, Command
@@ -39,9 +39,7 @@ def checkpoint(path: Path, saved_config: dict[str, Any] | None = None) -> Path:
     """Write a checkpoint of an untrained unit, with its own or a given saved config."""
     whole = config("seed=7", "model.loss.alpha_max=12.0")
     state = {"state_dict": instantiate(whole.model.module).state_dict()}
-    CheckpointFiles().save_checkpoint(
-        {**state, KEY: saved_config or ConfigInCheckpoint(whole).saved_config}, path
-    )
+    CheckpointFiles().save_checkpoint({**state, KEY: saved_config or hyperparameters(whole)}, path)
     return path
 
 
@@ -135,9 +133,7 @@ def test_a_checkpoint_of_pretrained_weights_needs_no_download(
     whole = config()
     state = {"state_dict": instantiate(whole.model.module).state_dict()}
     whole.model.encoder.pretrained = True
-    CheckpointFiles().save_checkpoint(
-        {**state, KEY: ConfigInCheckpoint(whole).saved_config}, tmp_path / "a.ckpt"
-    )
+    CheckpointFiles().save_checkpoint({**state, KEY: hyperparameters(whole)}, tmp_path / "a.ckpt")
     requested = []
     monkeypatch.setattr(
         "imagination.models.encoders.create",
@@ -166,7 +162,7 @@ def test_damaged_checkpoints_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_checkpoint_of_another_model_is_refused(tmp_path: Path) -> None:
-    values = ConfigInCheckpoint(config()).saved_config["values"]
+    values = hyperparameters(config())["values"]
     values["model"]["width"] = 8
     for unit in (values["model"]["unit"], values["model"]["module"]["unit"]):
         unit["backbone"]["width"] = 8

@@ -17,7 +17,6 @@ from imagination.config.user_messages import explain
 from imagination.runs import sweep_jobs
 from imagination.runs.folder import LAST
 from imagination.runs.locking import locked
-from imagination.runs.run_summary import hyperparameters
 from imagination.runs.sweep_jobs import config_key
 from imagination.utils.errors import UserError
 from tests.conftest import ROOT, Command
@@ -143,22 +142,6 @@ def test_ready_made_sweeps_compose(name: str) -> None:
         for value in choices:
             keys.add(config_key(compose("train", [*JOB, f"{key}={value}".replace(" ", "")])))
         assert len(keys) >= len(choices)
-
-
-@pytest.mark.parametrize(
-    ("key", "choices"),
-    [
-        ("model.backbone", {"model/backbone=unet": "UNet", "model/backbone=fpn": "FPN"}),
-        ("model.unit", {"model=unit": "ImaginationUnit", "model=projected": "ProjectedUnit"}),
-        ("mapping.registration", {"mapping/registration=mean": "Mean", "mapping/registration=max": "Max"}),
-        ("model.encoder.name", {"model.encoder.name=resnet18": "resnet18", "model.encoder.name=a": "a"}),
-    ],
-)
-def test_hyperparameters_name_classes(key: str, choices: dict[str, str]) -> None:
-    shown = {
-        choice: hyperparameters(compose("train", [*JOB, choice, "paths.run=."]))[key] for choice in choices
-    }
-    assert shown == choices
 
 
 def swept(sweep: Path) -> list[dict[str, str]]:

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from imagination.geometry.camera import Camera
 from imagination.models.segmentation.hrnet import HRNetV2, at_size
+from imagination.models.task_kind import TaskKind
 from imagination.models.tta_hflip import average_with_hflip
 from imagination.models.weights import mismatches
 from imagination.scenes.categories import CategoryTable
@@ -60,6 +61,7 @@ class PublicHRNet(nn.Module):
         UserError: if a category lists a class that does not exist, or no category lists any class.
     """
 
+    kind = TaskKind.IMAGES
     category_of_class: Tensor
 
     def __init__(self, table: CategoryTable, camera: Camera, tta_hflip: bool = False) -> None:

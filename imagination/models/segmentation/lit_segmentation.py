@@ -1,27 +1,27 @@
 """LightningModule that trains a network for first-person segmentation."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Float, UInt8
-from lightning import LightningModule
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
+from torchmetrics import Metric
 from torchmetrics.classification import MulticlassConfusionMatrix
 
+from imagination.models.lit_task import Batch, LitTask, ScoreTable
 from imagination.models.segmentation.hrnet import at_size
+from imagination.models.task_kind import TaskKind
 from imagination.models.tta_hflip import average_with_hflip
 
-Batch = Mapping[str, Tensor]
-"""rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for background, else category index + 1; views and
-micro_batches int64 () in a micro-batch, the number of views and of micro-batches in the whole batch."""
 
-
-class LitSegmentation(LightningModule):
+class LitSegmentation(LitTask):
     """LightningModule that trains a network with cross-entropy and scores its segmentations by IoU.
+
+    A batch holds rgb uint8 (B, 3, H, W); segmentation uint8 (B, H, W), 0 for background, else category index + 1; in a
+    micro-batch, views and micro_batches int64 (), the number of views and of micro-batches in the whole batch.
 
     Args:
         network: factory of the network, called with the number of `classes`: background and each category.
@@ -31,6 +31,9 @@ class LitSegmentation(LightningModule):
         tta_hflip: whether to use horizontal-flip test-time augmentation in evaluation mode.
     """
 
+    kind = TaskKind.IMAGES
+    target = "segmentation"
+
     def __init__(
         self,
         network: Callable[..., nn.Module],
@@ -39,10 +42,7 @@ class LitSegmentation(LightningModule):
         scheduler: Callable[..., LRScheduler],
         tta_hflip: bool = False,
     ) -> None:
-        super().__init__()
-        self.categories = list(categories)
-        self.optimizer = optimizer
-        self.scheduler = scheduler
+        super().__init__(categories, optimizer, scheduler)
         self.tta_hflip = tta_hflip
         classes = 1 + len(self.categories)
         self.network = network(classes=classes)
@@ -67,33 +67,26 @@ class LitSegmentation(LightningModule):
         logits: Tensor = self.network(rgb)
         return logits
 
-    def training_step(self, batch: Batch, index: int) -> Tensor:
+    def predict_step(self, batch: Batch, index: int = 0) -> UInt8[Tensor, "b h w"]:
+        """Return the segmentations of a batch, at the size of the images; see `segment`."""
+        return self.segment(batch["rgb"], *batch["rgb"].shape[-2:])
+
+    @property
+    def score_table(self) -> ScoreTable:
+        """Layout of tables/first_person.csv: scores of each category and their mean."""
+        suffixes = {"mean": ""} | {name: f"_{name}" for name in self.categories}
+        return ScoreTable("First-person", "first_person", "category", suffixes)
+
+    def training_loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss."""
         loss, _ = self.compare(batch)
         if "views" in batch:  # Lightning averages over micro-batches, whose sizes may differ by a view
             loss = loss * len(batch["rgb"]) * batch["micro_batches"] / batch["views"]
-        values = {"loss": loss, "learning_rate": self.trainer.optimizers[0].param_groups[0]["lr"]}
-        self.log_dict(
-            {f"train/{name}": value for name, value in values.items()},
-            batch_size=len(batch["rgb"]),
-            sync_dist=True,
-        )
-        return loss
+        return loss, {}
 
-    def validation_step(self, batch: Batch, index: int) -> None:
-        self._score(batch, "val", self.val_scores)
-
-    def test_step(self, batch: Batch, index: int) -> None:
-        self._score(batch, "test", self.test_scores)
-
-    def on_validation_epoch_end(self) -> None:
-        self._log_scores("val", self.val_scores)
-
-    def on_test_epoch_end(self) -> None:
-        self._log_scores("test", self.test_scores)
-
-    def configure_optimizers(self) -> Any:  # Lightning's return type is a large union
-        optimizer = self.optimizer(self.parameters())
-        return {"optimizer": optimizer, "lr_scheduler": self.scheduler(optimizer)}
+    def batch_totals(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the number of views in the whole batch."""
+        return {"views": torch.tensor(len(batch["rgb"]))}
 
     def compare(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """Return the loss and the most probable class of each pixel."""
@@ -103,13 +96,14 @@ class LitSegmentation(LightningModule):
         total = cross_entropy(logits.permute(0, 2, 3, 1).flatten(0, 2), gt.flatten(), reduction="sum")
         return total / max(1, gt.numel()), logits.argmax(dim=1)  # a rank may have no view
 
-    def _score(self, batch: Batch, stage: str, scores: MulticlassConfusionMatrix) -> None:
+    def score(self, batch: Batch, stage: str, scores: Metric) -> None:
+        """Log the loss of a batch and count its pixels."""
         loss, predicted = self.compare(batch)
         self.log(f"{stage}/loss", loss, batch_size=len(predicted), sync_dist=True)
         scores.update(predicted, batch["segmentation"].long())
 
-    def _log_scores(self, stage: str, scores: MulticlassConfusionMatrix) -> None:
-        """Log IoU, precision and recall of each category and their means, without the background."""
+    def named_scores(self, scores: Metric) -> dict[str, Tensor]:
+        """Return IoU, precision and recall of each category and their means, without the background."""
         counts: Tensor = scores.compute()
         correct, gt, predicted = (
             count[1:] for count in (counts.diagonal(), counts.sum(dim=1), counts.sum(dim=0))
@@ -119,8 +113,10 @@ class LitSegmentation(LightningModule):
             "precision": correct / predicted.clamp(min=1),
             "recall": correct / gt.clamp(min=1),
         }
-        for name, values in named.items():
-            self.log(f"{stage}/{name}", values.mean())
-            for category, value in zip(self.categories, values, strict=True):
-                self.log(f"{stage}/{name}_{category}", value)
-        scores.reset()
+        means = {name: values.mean() for name, values in named.items()}
+        by_category = {
+            f"{name}_{category}": value
+            for name, values in named.items()
+            for category, value in zip(self.categories, values, strict=True)
+        }
+        return means | by_category

@@ -47,15 +47,6 @@ def agreement_image(example: Example, predicted: Bool[np.ndarray, "h w"]) -> UIn
     return image
 
 
-def side_by_side(example: Example) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the ground truth and the map of each approach in one image, for TensorBoard."""
-    window = _window(example)
-    maps = example.predicted.values()
-    images = [gt_image(example), *(agreement_image(example, predicted) for predicted in maps)]
-    framed = [np.pad(image[window], ((2, 2), (2, 2), (0, 0)), constant_values=120) for image in images]
-    return np.concatenate(framed, axis=1)
-
-
 def draw_maps(examples: Sequence[Example]) -> Figure:
     """Draw one row for each example: ground truth with viewpoints, then the map of each approach with its IoU."""
     names = list(examples[0].predicted)

@@ -125,7 +125,7 @@ def test_scores_are_those_of_the_pixels() -> None:
         ious.append(intersection / union)
         assert logged[f"val/iou_{name}"] == pytest.approx(ious[-1], abs=1e-6)
     assert logged["val/iou"] == pytest.approx(sum(ious) / 2, abs=1e-6)
-    assert {"train/loss", "train/learning_rate", "val/precision_bed", "val/recall_chair"} <= set(logged)
+    assert {"train/loss", "val/precision_bed", "val/recall_chair"} <= set(logged)
 
 
 def test_an_accumulated_batch_trains_as_a_whole_one() -> None:
@@ -137,7 +137,7 @@ def test_an_accumulated_batch_trains_as_a_whole_one() -> None:
             max_epochs=1, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
             enable_model_summary=False, accumulate_grad_batches=count,
         )  # fmt: skip
-        split = [part for seed in range(3) for part in parts(batch(7, seed), count)]
+        split = [part for seed in range(3) for part in parts(batch(7, seed), count, trained.batch_totals)]
         trainer.fit(trained, DataLoader(split, batch_size=None))
         assert trainer.global_step == 3
         weights.append(trained.network.layer.weight.detach().clone())

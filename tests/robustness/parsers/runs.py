@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 
 from imagination.config.compose import compose
 from imagination.config.plugin_registry import Plugin, _examine, check
-from imagination.runs.checkpoint import KEY, Checkpoint, ConfigInCheckpoint
+from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters
 from imagination.runs.resume import END, read_composed_config
 from imagination.utils.cache import MAGIC, DamagedError, decode, encode
 from tests.robustness.parsers.parser import Parser, resealed
@@ -44,7 +44,7 @@ def bodies() -> list[bytes]:
 def checkpoints() -> list[bytes]:
     config = compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=."])
     config.choices = ["+experiment=chair_unet", "scale=test"]
-    state = {"state_dict": {"weight": torch.zeros(2)}, KEY: ConfigInCheckpoint(config).saved_config}
+    state = {"state_dict": {"weight": torch.zeros(2)}, KEY: hyperparameters(config)}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.ckpt"
         torch.save(state, path)
