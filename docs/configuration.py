@@ -1,4 +1,4 @@
-"""Generate docs/configuration.md from conf/ and the table of keys: `python docs/configuration.py`; a test compares it."""
+"""Generate docs/configuration.md with `python docs/configuration.py`; a test checks that it is current."""
 
 from pathlib import Path
 

@@ -239,8 +239,8 @@ OPTIONAL_GROUPS = ("experiment", "sweep", "hparams_search", "study", "debug")
 def role(key: str) -> Role:
     """Return the role of a dotted key or of a group.
 
-    >>> role("seed"), role("mapping/registration"), role("trainer.devices"), role("model.loss.alpha_max")
-    (<Role.TRAINING: 'training'>, <Role.EVALUATION: 'evaluation'>, <Role.EXECUTION: 'execution'>, <Role.TRAINING: 'training'>)
+    >>> role("model.loss.alpha_max"), role("mapping/registration"), role("trainer.devices")
+    (<Role.TRAINING: 'training'>, <Role.EVALUATION: 'evaluation'>, <Role.EXECUTION: 'execution'>)
     """
     row = _row(key)
     return row.role if row else Role.TRAINING

@@ -92,7 +92,8 @@ def _check_added(config_name: str, config: DictConfig, key: str) -> None:
         raise _unknown(config_name, key, _names(config_name))
     if "_target_" in node:
         if (arguments := _arguments(node._target_)) is not None and name not in arguments:
-            raise _unknown(config_name, key, [f"{parent}.{argument}" for argument in arguments if not argument.startswith("_")])
+            names = [f"{parent}.{argument}" for argument in arguments if not argument.startswith("_")]
+            raise _unknown(config_name, key, names)
     elif not _is_argument(config, parent):
         raise _unknown(config_name, key, _names(config_name))
 

@@ -34,7 +34,7 @@ def training_config(experiment: str, overrides: Sequence[str]) -> DictConfig:
 def training_key(config: DictConfig) -> str:
     """Return the hash of what determines the result of a training: keys of the role `TRAINING` and the program."""
     if config.model.predicts == TaskKind.MAPS:  # units do not read the node of segmentation_hrnet
-        config = OmegaConf.masked_copy(config, [key for key in config if key != "hrnet"])
+        config = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hrnet"])
     return f"{config_key(config, set(Role) - {Role.TRAINING})} {config.get('program')}"
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -255,7 +255,8 @@ def keep_references(config: DictConfig, key: str) -> None:
     extended.
     """
     value = OmegaConf.select(config, key)
-    for other, reference in leaves(OmegaConf.to_container(config)):
+    values: Any = OmegaConf.to_container(config)
+    for other, reference in leaves(values):
         if reference == f"${{{key}}}":
             OmegaConf.update(config, other, value)
 

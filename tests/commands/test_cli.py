@@ -195,7 +195,8 @@ def test_ctrl_c_while_scenes_are_built(tmp_path: Path, name: str) -> None:
 
 
 def test_ctrl_c_reports_how_to_resume(tmp_path: Path) -> None:
-    arguments = ["+experiment=chair_unet", "scale=test", "trainer.max_epochs=10000", "trainer.check_val_every_n_epoch=10000"]
+    long = ["trainer.max_epochs=10000", "trainer.check_val_every_n_epoch=10000"]
+    arguments = ["+experiment=chair_unet", "scale=test", *long]
     with open(tmp_path / "stderr", "w") as stderr:
         process = subprocess.Popen(
             [sys.executable, "-m", "imagination.train", *arguments],

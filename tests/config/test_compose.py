@@ -61,7 +61,7 @@ def check_sizes(experiment: str, scale: str, overrides: list[str]) -> None:
         "data.micro_batches": "hrnet.micro_batches",
         "model.final_learning_rate": "hrnet.final_learning_rate",
     }
-    for key, value in sizes.items():
+    for key in sizes:
         source = baseline.get(key, key) if experiment == "segmentation_hrnet" else key
         assert OmegaConf.select(config, key) == sizes[source], key
     resolved: Any = OmegaConf.to_container(config, resolve=True)

@@ -135,7 +135,8 @@ def jobs(folder: Path) -> list[Job]:
     unit = folder / "chair.onnx"
     export([Checkpoint.read(make_checkpoint(folder / "chair.ckpt"))], unit, "onnx", "float32", samples(1))
     camera = "recording.camera.values.colour={width:48,height:48,fx:24,fy:24,cx:23.5,cy:23.5}"
-    train = "+experiment=chair_unet", "scale=test", "trainer.max_epochs=4", "trainer.check_val_every_n_epoch=2", "data.workers=1"
+    epochs = "trainer.max_epochs=4", "trainer.check_val_every_n_epoch=2"
+    train = "+experiment=chair_unet", "scale=test", *epochs, "data.workers=1"
     render = "scale=test", f"data.splits.train={SCENES}", "data.workers=1", "views=16"
     shards = "outputs/render/shards"
     mapping = "recording=tum", f"recording.path={folder / 'tum'}", f"unit={unit}", camera

@@ -48,7 +48,8 @@ VIEWS = 300
 THIS_PROCESS = "this process"
 
 TEST = "scale=test", "data.workers=1"
-LONG_TRAINING = "train", "+experiment=chair_unet", *TEST, "trainer.max_epochs=1000000", "trainer.check_val_every_n_epoch=200"
+EPOCHS = "trainer.max_epochs=1000000", "trainer.check_val_every_n_epoch=200"
+LONG_TRAINING = "train", "+experiment=chair_unet", *TEST, *EPOCHS
 LONG_RENDERING = "prepare_shards", "shards=shards", *TEST, "data.splits.train=9999", "views=16"
 """Commands that run in the background during all rounds."""
 

@@ -115,7 +115,8 @@ def test_a_failed_job_stops_no_other_and_is_retried(command: Command, tmp_path: 
     assert (sweep / "1" / "tables" / "mapping.csv").is_file()
     assert "1 of 2 " in done.stderr
     failed = [line for line in done.stderr.splitlines() if "0 failed" in line]
-    assert len(failed) == 1 and "prefill_steps: got 3" in failed[0] and "callbacks.replay_buffer.prefill_steps=3" in failed[0]
+    assert len(failed) == 1 and "prefill_steps: got 3" in failed[0]
+    assert "callbacks.replay_buffer.prefill_steps=3" in failed[0]
     assert not (tmp_path / "outputs" / "swept" / "latest").exists()
     retry = next(line for line in done.stderr.splitlines() if "imagination.train " in line)
     done = command("train", *shlex.split(retry.partition("imagination.train ")[2]))

@@ -223,7 +223,8 @@ class ShardCollector:
         if not items or steps % shards.group or steps // shards.group > items:
             raise UserError(
                 f"data.shards: got {len(self.scenes)} scenes with {items} groups of {shards.group} views, expected at "
-                f"least one scene with {steps} views, in groups whose size divides callbacks.replay_buffer.update_interval = {steps}; "
+                f"least one scene with {steps} views, in groups whose size divides "
+                f"callbacks.replay_buffer.update_interval = {steps}; "
                 "write the shards with this update interval"
             )
         self._groups_per_scene = steps // shards.group  # in one collection

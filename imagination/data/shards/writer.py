@@ -75,7 +75,8 @@ class ShardSpec:
         check_range("views", self.views, 1, 10_000_000, "views per scene")
         if self.views % self.group:
             raise UserError(
-                f"views: got {self.views} per scene, expected a multiple of callbacks.replay_buffer.update_interval = {self.group}"
+                f"views: got {self.views} per scene, expected a multiple of "
+                f"callbacks.replay_buffer.update_interval = {self.group}"
             )
 
     def view_settings(self, observer: Observer) -> dict[str, Any]:
