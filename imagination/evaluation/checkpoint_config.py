@@ -119,6 +119,6 @@ def _refuse_other_networks(overrides: Sequence[str]) -> None:
     for text in overrides:
         if override_group(text) in ("model", "hrnet"):
             raise UserError(
-                f"{override_key(text)}: got {text}, but networks are evaluated as they were trained; leave it out, or train a network "
-                "with it"
+                f"{override_key(text)}: got {text}, but networks are evaluated as they were trained; leave it out, or "
+                "train a network with it"
             )

@@ -224,8 +224,8 @@ class ShardCollector:
             raise UserError(
                 f"data.shards: got {len(self.scenes)} scenes with {items} groups of {shards.group} views, expected at "
                 f"least one scene with {steps} views, in groups whose size divides "
-                f"callbacks.replay_buffer.update_interval = {steps}; "
-                "write the shards with this update interval"
+                f"callbacks.replay_buffer.update_interval = {steps}; write the shards with this "
+                "update interval"
             )
         self._groups_per_scene = steps // shards.group  # in one collection
         self._collections_per_block = items // self._groups_per_scene
