@@ -37,9 +37,8 @@ def replacing(path: Path, sync: bool = True) -> Iterator[Path]:
     """
     with write_errors_reported(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PART, dir=path.parent))
-        temporary = scratch / path.name
-        with _held(scratch):
+        with _scratch_folder(path) as scratch:
+            temporary = scratch / path.name
             try:
                 yield temporary
                 if sync and temporary.is_file() and not temporary.is_symlink():
@@ -66,12 +65,21 @@ def write_errors_reported(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _held(folder: Path) -> Iterator[None]:
-    """Hold a shared lock on a folder, which marks it as being written to."""
-    descriptor = os.open(folder, os.O_RDONLY)
+def _scratch_folder(path: Path) -> Iterator[Path]:
+    """Create a temporary folder next to `path` and hold a shared lock on it, which marks it as being written to."""
+    while True:
+        scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PART, dir=path.parent))
+        with suppress(FileNotFoundError):  # another process removed it before it was locked
+            descriptor = os.open(scratch, os.O_RDONLY)
+            try:
+                lock(descriptor, shared=True)
+                os.stat(scratch)
+            except BaseException:
+                os.close(descriptor)
+                raise
+            break
     try:
-        lock(descriptor, shared=True)
-        yield
+        yield scratch
     finally:
         os.close(descriptor)
 
@@ -83,7 +91,7 @@ def remove_stale_parts(parts: Iterable[Path]) -> None:
         parts: temporary folders, whose names end with `PART`.
     """
     for scratch in parts:
-        with suppress(FileNotFoundError, BlockingIOError, PermissionError):
+        with suppress(OSError):  # removed or locked by another process, or not allowed
             descriptor = os.open(scratch, os.O_RDONLY)
             try:
                 lock(descriptor, wait=False)
