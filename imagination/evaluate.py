@@ -17,8 +17,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from imagination.evaluation.checkpoint_config import check_scenes, evaluation_config
 from imagination.runs.command import command
-from imagination.runs.folder import CONFIG, create_folder, resolved_path, timestamp
+from imagination.runs.command_line import command_line, own_arguments
+from imagination.runs.final_record import write_final_record
+from imagination.runs.folder import CONFIG, resolved_path
+from imagination.runs.hydra_folder import describe_run, new_run_folder
+from imagination.runs.locking import locked
 from imagination.runs.logging import logging_to
+from imagination.utils import interrupts
 from imagination.utils.atomic_io import remove_parts, write_errors_reported, write_text
 from imagination.utils.errors import UserError
 
@@ -47,17 +52,16 @@ def main(config: DictConfig) -> None:
     config.paths.run = str(folder)
     resolved = [str(resolved_path(Path(path))) for path in paths]  # `latest` may point to another run later
     config.ckpt = resolved[0] if isinstance(config.ckpt, str) else resolved
-    with logging_to(folder / "run.log"):
+    with locked(folder), logging_to(folder / "run.log"):
         write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
         try:
             evaluate(config, protocol, checkpoints, folder)
+            write_final_record(folder, checkpoints=resolved)
         except KeyboardInterrupt:
-            log.warning(
-                "Interrupted; the results in %s are incomplete. Finished trials stay in the cache; run the same "
-                "command again to continue.",
-                folder,
-            )
-            sys.exit(130)
+            if job_folder is None:
+                command = command_line("evaluate", own_arguments())
+                interrupts.report(f"Finished trials stay in the cache. Continue with: {command}")
+            sys.exit(interrupts.exit_code())
         log.info("Results: %s/ (tables/, figures/, maps/)", folder)
 
 
@@ -89,13 +93,16 @@ def evaluate(
 
 
 def results_folder(config: DictConfig, job_folder: Path | None) -> Path:
-    """Create and return the results folder: that of a sweep's job, or outputs/<name>/evaluate_<date_time>."""
+    """Create and return the results folder: that of a sweep's job, or `hydra.run.dir`."""
     if job_folder is None:
-        return create_folder(Path(config.paths.outputs) / config.name, f"evaluate_{timestamp()}")
-    with write_errors_reported(job_folder):
-        job_folder.mkdir(parents=True, exist_ok=True)
-    remove_parts(job_folder)  # left by an evaluation that was killed
-    return job_folder
+        folder = new_run_folder(config, continues=True)
+    else:
+        folder = job_folder
+        with write_errors_reported(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        describe_run(folder, config)
+    remove_parts(folder)  # left by an evaluation that was killed
+    return folder
 
 
 if __name__ == "__main__":

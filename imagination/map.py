@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import sys
-from pathlib import Path
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -13,8 +12,11 @@ from imagination.deployment import mapper_from_config
 from imagination.mapping.semantic_mapper import SemanticMapper
 from imagination.recordings.recording import Frames, Recording
 from imagination.runs.command import command
-from imagination.runs.folder import CONFIG, create_folder, point_latest, timestamp
+from imagination.runs.command_line import command_line, own_arguments
+from imagination.runs.folder import CONFIG, point_latest
+from imagination.runs.hydra_folder import experiment_folder, new_run_folder
 from imagination.runs.logging import logging_to
+from imagination.utils import interrupts
 from imagination.utils.atomic_io import write_text
 from imagination.utils.errors import UserError
 from imagination.viewers.viewer import Viewer
@@ -40,7 +42,7 @@ def main(config: DictConfig) -> None:
     recording: Recording = instantiate(config.recording, _convert_="all")
     viewer: Viewer = instantiate(config.viewer)
     mapper = mapper_from_config.mapper_of(config, predictor, recording.camera, recording.world)
-    folder = create_folder(Path(config.paths.outputs) / config.name, timestamp())
+    folder = new_run_folder(config)
     config.paths.run = str(folder)
     with logging_to(folder / "run.log"):
         write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
@@ -51,8 +53,9 @@ def main(config: DictConfig) -> None:
         finally:
             try:
                 if frames.mapped:  # also after an error
-                    mapper.save(folder)
-                    point_latest(folder)
+                    with interrupts.postponed():
+                        mapper.save(folder)
+                        point_latest(folder, experiment_folder(config))
                     log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
             finally:
                 viewer.close()
@@ -60,7 +63,7 @@ def main(config: DictConfig) -> None:
 
 
 def map_frames(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
-    """Map every frame and return the exit code: 0, 1 if an error ends the recording early, 130 after Ctrl-C.
+    """Map every frame and return the exit code: 0, 1 if an error ends the recording early, 130 or 143 after a signal.
 
     Raises:
         UserError: if no frame was mapped.
@@ -83,11 +86,13 @@ def map_frames(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
         status = 1
         log.error("error: %s%s", error, "; the frames before it are mapped and saved" * bool(frames.mapped))
     except KeyboardInterrupt:
-        status = 130
-        log.warning("Interrupted; the map of %d frames is saved", frames.mapped)
+        status, again = interrupts.exit_code(), command_line("map", own_arguments(without=["hydra.run.dir"]))
+        interrupts.report(
+            f"The map of {frames.mapped} frames is saved; map the whole recording with: {again}"
+        )
     if first_refusal:
         log.warning("Reason of the first refused frame: %s", first_refusal)
-    if status == 130 and not frames.mapped:
+    if interrupts.received() and not frames.mapped:
         sys.exit(status)
     if not frames.mapped:
         raise UserError(f"recording: no frame was mapped. {frames.summary()}")

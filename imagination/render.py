@@ -14,6 +14,7 @@ from omegaconf import DictConfig
 from imagination.runs.command import command
 from imagination.runs.logging import logging_to
 from imagination.scenes.source import SPLITS, Split
+from imagination.utils import interrupts
 from imagination.utils.atomic_io import replacing, write_npz
 from imagination.utils.errors import check_choice, check_range
 
@@ -37,7 +38,7 @@ def main(config: DictConfig) -> None:
         write_scene(config, observer, name, folder)
     except KeyboardInterrupt:
         print(f"Interrupted; {folder}/ is incomplete. Run the same command again.", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(interrupts.exit_code())
 
 
 def folder_name(scene: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from hydra.core.hydra_config import HydraConfig
@@ -17,8 +16,10 @@ from imagination.deployment import mapper_from_config
 from imagination.geometry.rgbd import RgbdCamera
 from imagination.mapping.semantic_mapper import SemanticMapper
 from imagination.runs.command import command
-from imagination.runs.folder import CONFIG, create_folder, point_latest, timestamp
+from imagination.runs.folder import CONFIG, point_latest
+from imagination.runs.hydra_folder import experiment_folder, new_run_folder
 from imagination.runs.logging import logging_to
+from imagination.utils import interrupts
 from imagination.utils.atomic_io import write_text
 from imagination.utils.errors import UserError, check_choice
 
@@ -82,19 +83,24 @@ def main(config: DictConfig) -> None:
         mappers.append(mapper_from_config.mapper_of(config, predictor, camera))
         return mappers[-1]
 
-    folder = create_folder(Path(config.paths.outputs) / config.name, timestamp())
+    folder = new_run_folder(config)
     config.paths.run = str(folder)
     with logging_to(folder / "run.log"):
         write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
         try:
             server.serve(make_mapper)
+        except KeyboardInterrupt:
+            interrupts.report()
         finally:  # save the map also after an error
             if mappers and mappers[-1].frames:
-                mappers[-1].save(folder)
-                point_latest(folder)
+                with interrupts.postponed():
+                    mappers[-1].save(folder)
+                    point_latest(folder, experiment_folder(config))
                 log.info("Map: %s/ (map.yaml, map.png, semantic.npz, objects.geojson)", folder)
             else:
                 log.error("error: no frame was mapped, so no map is saved")
+    if interrupts.received():
+        sys.exit(interrupts.exit_code())
     sys.exit(0 if mappers and mappers[-1].frames else 1)
 
 

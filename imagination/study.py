@@ -7,6 +7,7 @@ evaluation reads finished trials from the cache. Runs of other commands with the
 
 import json
 import logging
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,13 +16,15 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from imagination.config.key_roles import Role, role
-from imagination.config.overrides import override_group, override_key
+from imagination.config.overrides import assignment, override_group, override_key
 from imagination.config.validation import validate
 from imagination.evaluation.checkpoint_config import evaluation_config
 from imagination.runs.command import command, run_command
+from imagination.runs.command_line import command_line, own_arguments
 from imagination.runs.finished_trainings import is_evaluation_only, train_or_reuse, training_config
-from imagination.runs.folder import create_folder, timestamp
+from imagination.runs.hydra_folder import new_run_folder
 from imagination.runs.logging import logging_to
+from imagination.utils import interrupts
 from imagination.utils.errors import UserError
 from imagination.utils.timing import stage, stage_timer
 
@@ -36,13 +39,19 @@ def main(config: DictConfig) -> None:
     evaluation += [text for text in overrides if is_evaluation_only(text) or override_group(text) == "paths"]
     check_evaluation(config.experiments, training, evaluation)
     outputs = Path(config.paths.outputs)
-    with logging_to(create_folder(outputs / "study", timestamp()) / "run.log"):
-        checkpoints = []
-        for experiment in config.experiments:
-            with stage(experiment):
-                checkpoints.append(str(train_or_reuse(experiment, training, outputs)))
-        with stage("evaluation"):
-            run_command("evaluate", [f"ckpt={json.dumps(checkpoints)}", *evaluation])
+    folder = new_run_folder(config, continues=True)
+    evaluation.append(assignment("hydra.run.dir", str(folder)))
+    with logging_to(folder / "run.log"):
+        try:
+            checkpoints = []
+            for experiment in config.experiments:
+                with stage(experiment):
+                    checkpoints.append(str(train_or_reuse(experiment, training, outputs)))
+            with stage("evaluation"):
+                run_command("evaluate", [f"ckpt={json.dumps(checkpoints)}", *evaluation])
+        except KeyboardInterrupt:
+            interrupts.report(f"Continue with: {command_line('study', own_arguments())}")
+            sys.exit(interrupts.exit_code())
         times = ", ".join(f"{name} {seconds / 60:.1f}" for name, seconds in stage_timer.report().items())
         log.info("Minutes: %s", times)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 
 from imagination.runs.command import command
+from imagination.runs.final_record import write_final_record
 from imagination.runs.folder import BEST
 from imagination.runs.logging import quiet_lightning
 from imagination.runs.preflight import check_accelerator, check_processes, out_of_memory_reported
@@ -34,6 +35,7 @@ def main(config: DictConfig) -> float | None:
         if trainer.is_global_zero:
             scores = write_single_view_scores(run, trainer, task)
             log.info("%s\n%s", scores, summary(run, best_checkpoint(run)))
+            write_final_record(run.folder, score=best_score(trainer), epochs=trainer.current_epoch)
         return best_score(trainer)
 
 

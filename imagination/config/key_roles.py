@@ -210,6 +210,8 @@ KEYS: Mapping[str, Key] = {
     "viewer.max_frames": Key(Role.EXECUTION, old=("viewer.most",)),
     "logger": Key(Role.EXECUTION),
     "extras": Key(Role.EXECUTION),
+    "hydra.sweep.dir": Key(Role.LOCATION, old=("sweep_dir",)),
+    "hydra.run.dir": Key(Role.LOCATION),
     "hydra": Key(Role.EXECUTION),
     "program": Key(Role.EXECUTION),
     # which
@@ -221,7 +223,6 @@ KEYS: Mapping[str, Key] = {
     "ckpt_path": Key(Role.COMMAND, resumable=True),
     "resume": Key(Role.COMMAND, resumable=True),
     "sweep": Key(Role.COMMAND),
-    "sweep_dir": Key(Role.COMMAND),
     "hparams_search": Key(Role.COMMAND),
     "experiments": Key(Role.COMMAND),
     "compare": Key(Role.COMMAND),

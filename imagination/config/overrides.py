@@ -72,9 +72,11 @@ def assignment(key: str, text: str) -> str:
     >>> assignment("folder", "outputs/made/latest"), assignment("folder", "my runs")
     ('folder=outputs/made/latest', "folder='my runs'")
     """
-    if re.fullmatch(r"[\w/.:+@%-]+", text, re.ASCII):
+    if re.fullmatch(r"[\w/.:+@%-]*[A-Za-z_/][\w/.:+@%-]*", text, re.ASCII) and text != "null":
         return f"{key}={text}"
-    return f"{key}='" + text.replace("'", "\\'") + "'"
+    quoted = re.sub(r"(\\*)'", r"\1\1\\'", text)  # backslashes before a quote are doubled
+    quoted = re.sub(r"(\\+)$", r"\1\1", quoted).replace("${", "\\${")
+    return f"{key}='{quoted}'"
 
 
 def override_key(override: str) -> str:

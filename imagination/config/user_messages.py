@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
+from imagination.utils import interrupts
 from imagination.utils.errors import UserError
 
 EXTRAS: Mapping[str, str] = {"hydra/launcher/joblib": "joblib", "hydra/sweeper/optuna": "optuna"}
@@ -21,9 +22,9 @@ def user_errors_reported() -> Iterator[None]:
     """
     try:
         yield
-    except KeyboardInterrupt:  # before the command has a run that could be resumed
-        print("Interrupted", file=sys.stderr)
-        sys.exit(130)
+    except KeyboardInterrupt:
+        interrupts.report()  # unless the run has reported how it is resumed
+        sys.exit(interrupts.exit_code())
     except Exception as error:
         if (message := explain(error)) is None:
             raise

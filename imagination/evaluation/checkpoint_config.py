@@ -70,7 +70,6 @@ def evaluation_config(checkpoints: Sequence[Checkpoint], overrides: list[str]) -
     config = compose(
         "evaluate", [*inherited, f"unit_categories={json.dumps(categories)}", "paths.run=.", *overrides]
     )
-    config.sweep_dir = None  # Hydra has it; its date is no setting of the evaluation
     _refuse_other_networks(overrides)
     validate(config)
     for group in filter(None, by_kind.values()):

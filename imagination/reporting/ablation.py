@@ -203,11 +203,11 @@ def _commands(sweep: Multirun, first: Results) -> list[str]:
     report = report_command(sweep.folder)
     try:
         hydra = read_yaml(sweep.folder / "multirun.yaml")["hydra"]
-        overrides = [text for text in hydra["overrides"]["task"] if not text.startswith("sweep_dir=")]
-        command = shlex.join(["python", "-m", f"imagination.{hydra['job']['name']}", "-m", *overrides])
+        words = ["python", "-m", f"imagination.{hydra['job']['name']}", "-m", *hydra["overrides"]["task"]]
+        command = shlex.join(words)
     except Exception:  # missing or damaged; a search writes no such file
         words = str(first.provenance.get("command", "")).split()
-        command = " ".join(word for word in words if "sweep_dir=" not in word)
+        command = " ".join(word for word in words if "hydra.sweep.dir=" not in word)
         command = command if "imagination.train" in command or "imagination.evaluate" in command else ""
     return [*(trainings(first) if "ckpt" in first.config else []), *filter(None, [command]), report]
 

@@ -11,9 +11,11 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from imagination.utils import interrupts
 from imagination.utils.process_group import global_rank, started_by_torchrun
 
 if TYPE_CHECKING:
+    from lightning import Trainer
     from lightning.fabric.plugins.environments.cluster_environment import ClusterEnvironment
 
 FOLDER_KEY = "IMAGINATION_RUN"
@@ -32,6 +34,37 @@ def share_run_folder(folder: Path | None = None) -> Path:
     if folder is not None:
         os.environ[FOLDER_KEY] = str(folder)
     return Path(os.environ[FOLDER_KEY])
+
+
+def stop_job_at_once() -> None:
+    """End this process when a signal arrives, and pass the signal on to rank 0, which tells the user.
+
+    Lightning kills rank 0 after another of its processes has failed, so this one exits with 0.
+    """
+
+    parent = os.getppid()
+
+    def stop(number: int) -> None:
+        if started_by_torchrun():  # its agent stops the other processes
+            os._exit(128 + number)
+        if os.getppid() == parent:
+            os.kill(parent, number)
+        os._exit(0)
+
+    interrupts.hold()
+    interrupts.react_at_once(stop)
+
+
+def pass_signals_on(trainer: Trainer) -> None:
+    """Pass a signal on to the other processes at once, also while they wait for this one.
+
+    Lightning's handler of SIGTERM is not used: it starts a collective operation, which never ends if the processes
+    are in another one.
+    """
+    setattr(trainer._signal_connector, "register_signal_handlers", lambda: None)  # noqa: B010
+    launcher = trainer.strategy.launcher
+    if trainer.world_size > 1 and launcher is not None and trainer.is_global_zero:
+        interrupts.react_at_once(launcher.kill)
 
 
 def exit_with_parent() -> None:

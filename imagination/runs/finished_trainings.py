@@ -8,13 +8,15 @@ from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.compose import compose
 from imagination.config.key_roles import Role, role
-from imagination.config.overrides import override_group, override_key, result_overrides
+from imagination.config.overrides import assignment, override_group, override_key, result_overrides
 from imagination.models.task_kind import TaskKind
 from imagination.runs.command import run_command
+from imagination.runs.final_record import read_final_record
 from imagination.runs.folder import BEST, COMPOSED, LAST
 from imagination.runs.resume import PROGRAM
 from imagination.runs.sweep_jobs import config_key
 from imagination.utils.cache import code_version
+from imagination.utils.errors import UserError
 
 log = logging.getLogger(__name__)
 
@@ -44,14 +46,14 @@ def newest_run(outputs: Path, config: DictConfig, finished: bool) -> Path | None
     Args:
         outputs: folder of all experiments.
         config: config of the training.
-        finished: whether only finished runs, which have result tables, are considered.
+        finished: whether only finished runs, which have a final record, are considered.
     """
     key = training_key(config)
-    required = (LAST, Path("tables") / "mapping.csv") if finished else (LAST,)
     folders = [
         path.parent
         for path in outputs.glob(f"{config.name}/*/{COMPOSED}")
-        if all((path.parent / name).is_file() for name in required)
+        if (path.parent / LAST).is_file()
+        and (read_final_record(path.parent) is not None or not finished)
         and not path.parent.is_symlink()
         and _has_training_key(path, key)
     ]
@@ -63,13 +65,18 @@ def train_or_reuse(experiment: str, overrides: Sequence[str], outputs: Path) -> 
     config = training_config(experiment, overrides)
     if (folder := newest_run(outputs, config, finished=True)) is not None:
         log.info("%s: already trained, %s", experiment, folder)
-    elif (folder := newest_run(outputs, config, finished=False)) is not None:
-        paths = [text for text in overrides if override_group(text) == "paths"]
-        run_command("train", [f"ckpt_path={folder / LAST}", *paths])
     else:
-        run_command("train", [f"experiment={experiment}", *overrides])
+        if (unfinished := newest_run(outputs, config, finished=False)) is not None:
+            paths = [text for text in overrides if override_group(text) == "paths"]
+            run_command("train", [assignment("resume", str(unfinished)), *paths])
+        else:
+            run_command("train", [f"experiment={experiment}", *overrides])
         folder = newest_run(outputs, config, finished=True)
-    assert folder is not None, "a successful training has written its tables"
+    if folder is None:
+        raise UserError(
+            f"{experiment}: the training ended without its final record in {outputs / config.name}; run the same "
+            "command again"
+        )
     return folder / (BEST if (folder / BEST).is_file() else LAST)
 
 

@@ -1,5 +1,8 @@
-"""Run folders, each created exclusively, and the `latest` symlink."""
+"""Run folders: names of their files, exclusive creation, and the `latest` symlink."""
 
+import os
+import re
+from contextlib import suppress
 from datetime import datetime
 from itertools import count
 from pathlib import Path
@@ -37,25 +40,46 @@ def create_folder(parent: Path, name: str) -> Path:
     raise AssertionError("unreachable: count() is infinite")
 
 
-def point_latest(folder: Path) -> str | None:
-    """Atomically update the `latest` symlink and return the name of its previous target."""
-    link = folder.parent / "latest"
-    previous = link.readlink().name if link.is_symlink() else None
+def point_latest(folder: Path, parent: Path | None = None) -> Path | None:
+    """Atomically update the `latest` symlink and return its previous target.
+
+    Args:
+        folder: new target.
+        parent: folder of the link; None: the parent of `folder`.
+    """
+    link = (parent or folder.parent) / "latest"
+    previous = target_of(link)
     remove_stale_parts(link.parent.glob(f".{link.name}.*{PART}"))
     with replacing(link) as temporary:
-        temporary.symlink_to(folder.name)
+        temporary.symlink_to(
+            folder.name if folder.resolve().parent == link.parent.resolve() else folder.resolve()
+        )
     return previous
 
 
-def restore_latest(folder: Path, previous: str | None) -> None:
-    """Reset the `latest` symlink to its previous target if it still points to `folder`."""
-    link = folder.parent / "latest"
-    if not link.is_symlink() or link.readlink().name != folder.name:
+def restore_latest(folder: Path, previous: Path | None, parent: Path | None = None) -> None:
+    """Reset the `latest` symlink to its previous target if it still points to `folder`.
+
+    Args:
+        folder: folder of a run that was refused.
+        previous: result of `point_latest`.
+        parent: folder of the link; None: the parent of `folder`.
+    """
+    link = (parent or folder.parent) / "latest"
+    target = target_of(link)
+    if target is None or target.resolve() != folder.resolve():
         return
     if previous is None:
-        link.unlink()
+        link.unlink(missing_ok=True)
     else:
-        point_latest(folder.parent / previous)
+        point_latest(previous, link.parent)
+
+
+def target_of(link: Path) -> Path | None:
+    """Return the target of a symlink; None if there is no link, which other processes may remove at any time."""
+    with suppress(OSError):
+        return link.parent / os.readlink(link)
+    return None
 
 
 def find_latest(outputs: Path, name: str | None) -> Path:
@@ -73,17 +97,20 @@ def find_latest(outputs: Path, name: str | None) -> Path:
     if not folders:
         experiment = f"the experiment {name!r}" if name else "any experiment"
         raise UserError(
-            f"resume=latest: found no run of {experiment} in {outputs.resolve()}; start a run without resume"
+            f"resume=latest: found no run of {experiment} in {outputs.resolve()}; start a run without resume, or set "
+            "resume=<run folder>"
         )
-    return resolved_path(max(folders, key=lambda folder: (folder.name, folder.parent.name)))
+    return resolved_path(max(folders, key=lambda folder: (started(folder), folder.parent.name)))
+
+
+def started(folder: Path) -> str:
+    """Return the time at which a run was created, which its name contains unless the user has set `hydra.run.dir`."""
+    if re.match(r"\d{4}-\d\d-\d\d", folder.name):
+        return folder.name
+    return datetime.fromtimestamp((folder / COMPOSED).stat().st_mtime).strftime(TIMESTAMP)
 
 
 def resolved_path(path: Path) -> Path:
     """Return a path without symlinks, relative to the current directory if the path is inside it."""
     path, current = path.resolve(), Path.cwd().resolve()
     return path.relative_to(current) if path.is_relative_to(current) else path
-
-
-def timestamp() -> str:
-    """Return the current time in the format of run folder names."""
-    return datetime.now().strftime(TIMESTAMP)

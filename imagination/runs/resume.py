@@ -14,24 +14,31 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.key_roles import KEYS, Role, is_resumable, role
-from imagination.config.overrides import leaves, override_key, result_overrides
+from imagination.config.overrides import assignment, leaves, override_key, result_overrides
 from imagination.config.trust import check_targets
 from imagination.config.user_messages import explain
 from imagination.config.validation import validate
+from imagination.runs.command_line import command_line
 from imagination.runs.distributed import exit_with_parent, is_process_lost, share_run_folder
+from imagination.runs.final_record import remove_final_record
 from imagination.runs.folder import (
     COMPOSED,
     CONFIG,
     LAST,
-    create_folder,
     find_latest,
     point_latest,
     resolved_path,
     restore_latest,
-    timestamp,
+)
+from imagination.runs.hydra_folder import (
+    check_holds_no_run,
+    describe_run,
+    experiment_folder,
+    new_run_folder,
 )
 from imagination.runs.locking import locked
 from imagination.runs.logging import FILE_ONLY, logging_to
+from imagination.utils import interrupts
 from imagination.utils.atomic_io import remove_parts, write_errors_reported, write_text
 from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError, WorkerDiedError
@@ -57,13 +64,13 @@ class Run(NamedTuple):
         folder: run folder.
         config: composed config, with `paths.run` set.
         checkpoint: checkpoint to resume from; None to start from the beginning.
-        previous_latest: name of the run folder that `latest` pointed to before.
+        previous_latest: run folder that `latest` pointed to before.
     """
 
     folder: Path
     config: DictConfig
     checkpoint: Path | None
-    previous_latest: str | None = None
+    previous_latest: Path | None = None
 
 
 @contextmanager
@@ -83,37 +90,54 @@ def open_run(config: DictConfig) -> Iterator[Run]:
                 raise lost_process_error(run.folder) from error
             raise
         return
-    folder = existing_run_folder(config) if resume_requested else new_run_folder(config)
+    folder = existing_run_folder(config) if resume_requested else create_run_folder(config)
     share_run_folder(folder)
-    with locked(folder), logging_to(folder / "run.log"):
+    with locked(folder), logging_to(folder / "run.log"), interruption_reported(folder):
         if resume_requested:
             check_changes(folder, config)
+        elif not in_sweep():
+            check_holds_no_run(folder)  # another process may have had the lock
         resuming = resume_requested or (folder / COMPOSED).is_file()  # unfinished job of a sweep
         remove_parts(folder)
         run = resume_run(folder, config) if resuming else begin_run(folder, config)
+        remove_final_record(folder)
+        describe_run(folder, run.config)
         try:
             yield run
         except Exception as error:
-            log.error("The run failed", exc_info=True, extra=FILE_ONLY)
-            if "torch" in sys.modules and is_process_lost(error):
-                raise lost_process_error(folder) from error
-            if isinstance(error, WorkerDiedError):  # the run itself is sound
-                hint = sweep_hint(folder) if in_sweep() else resume_hint(folder)
-                raise WorkerDiedError(f"{error}; {hint}") from error
-            if explain(error) and not (folder / LAST).is_file():  # a user error, and nothing to resume
-                restore_latest(folder, run.previous_latest)
-            raise
-        except (KeyboardInterrupt, SystemExit) as error:
-            if not interrupted_by_user(error):
+            if interrupts.received():  # the error is a consequence, such as a lost connection
                 raise
-            last = folder / LAST
+            raise explained_failure(error, run) from error
+
+
+@contextmanager
+def interruption_reported(folder: Path) -> Iterator[None]:
+    """Tell the user how to resume an interrupted run, and exit; a sweep tells how to run its remaining jobs."""
+    try:
+        yield
+    except BaseException as error:
+        # not only a KeyboardInterrupt: Lightning turns it into a SystemExit
+        if not interrupts.received() or not (folder / COMPOSED).is_file():
+            raise
+        with interrupts.postponed():
             if in_sweep():
-                log.warning("Interrupted")
-            elif last.is_file():
-                log.warning("Interrupted. Resume with: python -m imagination.train ckpt_path=%s", last)
+                log.info("Interrupted", extra=FILE_ONLY)
             else:
-                log.warning("Interrupted before the first checkpoint; start again with the same arguments")
-            raise SystemExit(130) from error
+                interrupts.report(f"Resume with: {resume_command(folder)}")
+        raise SystemExit(interrupts.exit_code()) from error
+
+
+def explained_failure(error: Exception, run: Run) -> Exception:
+    """Return the error that ends a run, with the way to resume the run if the error has an external cause."""
+    log.error("The run failed", exc_info=True, extra=FILE_ONLY)
+    if "torch" in sys.modules and is_process_lost(error):
+        return lost_process_error(run.folder)
+    if isinstance(error, WorkerDiedError):  # the run itself is sound
+        hint = sweep_hint(run.folder) if in_sweep() else resume_hint(run.folder)
+        return WorkerDiedError(f"{error}; {hint}")
+    if explain(error) and not (run.folder / LAST).is_file():  # a user error, and nothing to resume
+        restore_latest(run.folder, run.previous_latest, experiment_folder(run.config))
+    return error
 
 
 def in_sweep() -> bool:
@@ -142,27 +166,39 @@ def lost_process_error(folder: Path) -> UserError:
 
 def resume_hint(folder: Path) -> str:
     """Return the advice to resume a run that was ended by an external cause."""
-    last = folder / LAST
-    if last.is_file():
-        return f"resume with the same command and ckpt_path={last}"
-    return "no epoch was completed, so start the same command again"
+    return f"resume with: {resume_command(folder)}"
+
+
+def resume_command(folder: Path) -> str:
+    """Return the command that resumes a run with the changes of this command."""
+    return command_line("train", [assignment("resume", str(folder)), *changes_of_this_command()])
+
+
+def changes_of_this_command() -> list[str]:
+    """Return the overrides of a command that resumes a run, which the config of the run does not contain."""
+    overrides = list(HydraConfig.get().overrides.task)
+    if not any(override_key(text) in ("resume", "ckpt_path") for text in overrides):
+        return []
+    keys = {text: override_key(text) for text in overrides}
+    return [text for text, key in keys.items() if is_resumable(key) and role(key) != Role.COMMAND]
 
 
 def sweep_hint(folder: Path) -> str:
     """Return the advice to resume a job of a sweep that was ended by an external cause."""
-    return f"start the sweep again with sweep_dir={folder.parent}"
+    return f"start the sweep again with hydra.sweep.dir={folder.parent}"
 
 
-def new_run_folder(config: DictConfig) -> Path:
-    """Return the folder of a new run, outputs/<name>/<date_time>; for a job of a sweep it is given and may exist."""
+def create_run_folder(config: DictConfig) -> Path:
+    """Return the folder of a new run, `hydra.run.dir`; for a job of a sweep it is given and may exist."""
     config.paths.run = config.paths.run if in_sweep() else "."
     OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # fails before a folder is created
     if in_sweep():
         folder = Path(config.paths.run)
         with write_errors_reported(folder):
             folder.mkdir(parents=True, exist_ok=True)
+        describe_run(folder, config)
         return folder
-    return create_folder(Path(config.paths.outputs) / config.name, timestamp())
+    return new_run_folder(config)
 
 
 def begin_run(folder: Path, config: DictConfig) -> Run:
@@ -172,7 +208,9 @@ def begin_run(folder: Path, config: DictConfig) -> Run:
     config.program = code_version(PROGRAM)
     write_text(folder / COMPOSED, OmegaConf.to_yaml(config) + END)
     write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
-    return Run(folder, config, None, None if in_sweep() else point_latest(folder))
+    if in_sweep():
+        return Run(folder, config, None)
+    return Run(folder, config, None, point_latest(folder, experiment_folder(config)))
 
 
 def existing_run_folder(config: DictConfig) -> Path:
@@ -181,6 +219,8 @@ def existing_run_folder(config: DictConfig) -> Path:
     Raises:
         UserError: if there is no such run.
     """
+    if given := [text for text in HydraConfig.get().overrides.hydra if override_key(text) == "hydra.run.dir"]:
+        raise UserError(f"hydra.run.dir: got {given[0]}, but a run resumes in its own folder; leave it out")
     if config.ckpt_path:
         path = Path(config.ckpt_path)
         if not path.is_file():
@@ -193,9 +233,11 @@ def existing_run_folder(config: DictConfig) -> Path:
             )
         return folder
     if config.resume != "latest":
-        raise UserError(
-            f"resume: got {config.resume!r}, expected latest; set ckpt_path=… to resume from a checkpoint"
-        )
+        if not (Path(config.resume) / COMPOSED).is_file():
+            raise UserError(
+                f"resume: got {config.resume!r}, expected latest or a run folder ({COMPOSED} is missing there)"
+            )
+        return resolved_path(Path(config.resume))
     experiment = config.name if HydraConfig.get().runtime.choices.get("experiment") else None
     return find_latest(Path(config.paths.outputs), experiment)
 
@@ -244,8 +286,8 @@ def resume_run(folder: Path, config: DictConfig) -> Run:
     checkpoint = Path(config.ckpt_path) if config.ckpt_path else folder / LAST
     if not checkpoint.is_file():
         log.warning("%s: no epoch was completed, so the run starts from the beginning", folder)
-        return Run(folder, saved, None, folder.name)
-    return Run(folder, saved, checkpoint, folder.name)
+        return Run(folder, saved, None, folder)
+    return Run(folder, saved, checkpoint, folder)
 
 
 def keep_references(config: DictConfig, key: str) -> None:
@@ -283,8 +325,3 @@ def read_composed_config(path: Path) -> DictConfig:
     except Exception as error:  # PyYAML raises errors of any type on malformed dates and numbers
         raise UserError(f"config {path}: is truncated or damaged ({error}); start a new run") from error
     return saved
-
-
-def interrupted_by_user(error: BaseException) -> bool:
-    """Return whether Ctrl-C caused an error; Lightning turns KeyboardInterrupt into SystemExit."""
-    return isinstance(error, KeyboardInterrupt) or isinstance(error.__context__, KeyboardInterrupt)

@@ -1,15 +1,16 @@
 """Sweeps of independent jobs: a failed job does not stop the others; a summary at the end lists the failed jobs.
 
-`sweep_dir=<folder of an earlier sweep>` runs the jobs of that sweep that are missing, failed or stopped; jobs with a
-checkpoint resume from it. Several processes may run the same sweep at once and divide the jobs among them.
+`hydra.sweep.dir=<folder of an earlier sweep>` runs the jobs of that sweep that are missing, failed or stopped; jobs
+with a checkpoint resume from it. Several processes may run the same sweep at once and divide the jobs among them.
 """
 
 import shlex
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
@@ -20,28 +21,49 @@ from omegaconf import DictConfig
 
 from imagination.config.compose import compose
 from imagination.config.key_roles import Role
-from imagination.config.overrides import override_key
+from imagination.config.overrides import assignment, override_key
 from imagination.config.plugin_registry import activate
 from imagination.config.user_messages import explain, user_errors_reported
 from imagination.config.validation import validate
 from imagination.runs import sweep_jobs
-from imagination.runs.folder import resolved_path
+from imagination.runs.command_line import command_line, own_arguments
+from imagination.runs.final_record import read_final_record
+from imagination.runs.folder import COMPOSED, create_folder
 from imagination.runs.locking import BusyError, locked
+from imagination.utils import interrupts
 from imagination.utils.errors import UserError
 from imagination.utils.timing import stage_timer
 
-SWEEP_KEYS = ("sweep", "hparams_search", "sweep_dir")
+SWEEP_KEYS = ("sweep", "hparams_search")
 """Keys of overrides that select the jobs of a sweep and are no overrides of a job."""
+
+FOLDER_KEY = "hydra.sweep.dir"
+"""Key of the folder of a sweep."""
+
+
+class _Job(NamedTuple):
+    """Job of a sweep before it is registered."""
+
+    key: str
+    name: str
+    overrides: list[str]
 
 
 class Sweep(Callback):
     """Hydra callback that registers the jobs of a sweep before it starts and summarizes them at the end."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Register all jobs before the first one starts; a hyperparameter search registers each job when it starts."""
-        if config.hydra.sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
-            with user_errors_reported():
-                register_jobs(config.hydra, str(kwargs["config_name"]))
+        """Create the folder and register all jobs; a hyperparameter search registers each job when it starts."""
+        search = not config.hydra.sweeper._target_.endswith(f".{BasicSweeper.__name__}")
+        with user_errors_reported():
+            jobs = [] if search else expand_jobs(config.hydra, str(kwargs["config_name"]))
+            folder = sweep_folder(config, {job.name for job in jobs})
+            config.hydra.sweep.dir = str(folder)
+            # Hydra composes the config of each job from these overrides
+            config.hydra.overrides.hydra.append(assignment(FOLDER_KEY, str(folder)))
+            for job in jobs:
+                sweep_jobs.register(folder, job.key, job.overrides)
+        _Running.command = remaining_jobs_command(config)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Print the failed jobs and the command that runs the remaining ones; exit with code 1 if a job failed."""
@@ -56,23 +78,58 @@ class Sweep(Callback):
         for job in failed:
             print(f"  {job.folder} failed ({job.overrides}): {job.problem}", file=sys.stderr)
         if done < len(jobs):
-            arguments = [
-                _permanent_argument(text) for text in sys.argv[1:] if not text.startswith("sweep_dir=")
-            ]
-            command = shlex.join(["python", "-m", f"imagination.{config.hydra.job.name}", *arguments])
-            print(f"Run the remaining jobs: {command} sweep_dir={folder}", file=sys.stderr)
+            print(f"Run the remaining jobs: {remaining_jobs_command(config)}", file=sys.stderr)
         if failed:
             sys.exit(1)
 
 
-def _permanent_argument(text: str) -> str:
-    """Resolve the symlinks in a `ckpt` argument, because `latest` may point to another run later."""
-    path = Path(text.removeprefix("ckpt="))
-    return f"ckpt={resolved_path(path)}" if text.startswith("ckpt=") and path.is_file() else text
+class _Running:
+    """Sweep that this process runs: the command that continues it."""
+
+    command: str | None = None
 
 
-def register_jobs(hydra: DictConfig, config_name: str) -> None:
-    """Register all jobs of a sweep over lists of values.
+@contextmanager
+def interruption_reported() -> Iterator[None]:
+    """Tell the user how to continue a sweep that was interrupted in this context."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        if interrupts.received() and _Running.command:
+            interrupts.report(f"Run the remaining jobs: {_Running.command}")
+        raise
+
+
+def remaining_jobs_command(config: DictConfig) -> str:
+    """Return the command that runs the remaining jobs of a sweep."""
+    arguments = own_arguments(without=[FOLDER_KEY])
+    folder = assignment(FOLDER_KEY, str(config.hydra.sweep.dir))
+    return command_line(config.hydra.job.name, [*arguments, folder])
+
+
+def sweep_folder(config: DictConfig, names: set[str]) -> Path:
+    """Return the folder of a sweep, which is created unless the user has set it.
+
+    Args:
+        config: config of the sweep, with its `hydra` node.
+        names: names of the experiments of its jobs. Several experiments share outputs/multirun_<date_time>.
+
+    Raises:
+        UserError: if the user has set the folder of a run.
+    """
+    folder = Path(config.hydra.sweep.dir)
+    if any(override_key(text) == FOLDER_KEY for text in config.hydra.overrides.hydra):
+        if (folder / COMPOSED).exists():
+            raise UserError(
+                f"{FOLDER_KEY}: got {folder}, which is the folder of a run, expected a new folder or that of a sweep"
+            )
+        return folder
+    several = len(names | {config.name}) > 1 and folder.parent.name == config.name
+    return create_folder(Path(config.paths.outputs) if several else folder.parent, folder.name)
+
+
+def expand_jobs(hydra: DictConfig, config_name: str) -> list[_Job]:
+    """Return all jobs of a sweep over lists of values.
 
     Args:
         hydra: `hydra` node of the config.
@@ -100,12 +157,11 @@ def register_jobs(hydra: DictConfig, config_name: str) -> None:
                 f"sweep: got {shlex.join(overrides)}, which differs from another job only in the evaluation; train "
                 "once, then sweep the evaluation with python -m imagination.evaluate -m ckpt=…"
             )
-        jobs.append((key, overrides))
-    for key, overrides in jobs:
-        sweep_jobs.register(Path(hydra.sweep.dir), key, overrides)
+        jobs.append(_Job(key, config.name, overrides))
+    return jobs
 
 
-def job_overrides(overrides: list[str]) -> list[str]:
+def job_overrides(overrides: Sequence[str]) -> list[str]:
     """Return the overrides that configure a job, without those that configure the sweep."""
     return [text for text in overrides if override_key(text) not in SWEEP_KEYS]
 
@@ -113,6 +169,7 @@ def job_overrides(overrides: list[str]) -> list[str]:
 def run_job(task: Callable[[DictConfig], float | None], config: DictConfig) -> float | None:
     """Run one job in its folder, `paths.run`, and return its score; an error is printed and recorded, not raised."""
     activate()  # a launcher may have started this process without plugins
+    interrupts.install()
     hydra = HydraConfig.get()
     sweep, key = Path(hydra.sweep.dir), sweep_jobs.config_key(config)
     overrides = job_overrides(list(hydra.overrides.task))
@@ -123,21 +180,21 @@ def run_job(task: Callable[[DictConfig], float | None], config: DictConfig) -> f
             if job.state == "done":
                 return float(job.score) if job.score else None
             print(f"Job {job.folder}: {job.overrides}", file=sys.stderr)
-            sweep_jobs.update(sweep, key, state="running", problem="")
-            stage_timer.restart()
-            config.paths.run = str(sweep / job.folder)
-            validate(config)
-            score = task(config)
+            if (record := read_final_record(sweep / job.folder)) is not None:  # killed after it had finished
+                score = record.get("score")
+            else:
+                sweep_jobs.update(sweep, key, state="running", problem="")
+                stage_timer.restart()
+                config.paths.run = str(sweep / job.folder)
+                validate(config)
+                score = task(config)
             sweep_jobs.update(sweep, key, state="done", score="" if score is None else repr(score))
             return score
     except BusyError as error:
         print(f"Job {job.folder} is skipped: {error}", file=sys.stderr)
     except (KeyboardInterrupt, SystemExit):
-        sweep_jobs.update(sweep, key, state="stopped")
-        print(
-            f"The sweep was stopped; to continue, add sweep_dir={sweep} to the same command line",
-            file=sys.stderr,
-        )
+        with interrupts.postponed():
+            sweep_jobs.update(sweep, key, state="stopped")
         raise
     except Exception as error:
         problem = explain(error)

@@ -93,7 +93,7 @@ def config_key(config: DictConfig, ignored: Collection[Role] = ()) -> str:
     """
     values: Any = OmegaConf.to_container(config)
     values["paths"] |= {"outputs": "", "cache": "", "run": ""}  # other nodes refer to them
-    values["sweep_dir"] = values["program"] = ""
+    values["program"] = ""
     if "ckpt" in values:  # `latest` may point to another run later
         paths = [values["ckpt"]] if isinstance(values["ckpt"], str) else values["ckpt"]
         values["ckpt"] = [str(Path(path).resolve()) for path in paths]
@@ -144,7 +144,7 @@ def _load(sweep: Path) -> list[Job]:
         return [Job(**row) for row in rows]
     except (OSError, ValueError, csv.Error) as error:
         raise UserError(
-            f"{sweep / FILE}: cannot be read ({error}); restore the file, or use another folder with sweep_dir=…"
+            f"{sweep / FILE}: cannot be read ({error}); restore the file, or use another folder with hydra.sweep.dir=…"
         ) from error
 
 

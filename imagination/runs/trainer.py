@@ -15,8 +15,8 @@ from lightning.pytorch.loggers import Logger
 from lightning.pytorch.strategies import DDPStrategy, Strategy
 from omegaconf import DictConfig
 
-from imagination.runs.checkpoint import CheckpointFiles
-from imagination.runs.distributed import cluster_environment
+from imagination.runs.checkpoint import CheckpointFiles, LoggedEpochs
+from imagination.runs.distributed import cluster_environment, pass_signals_on
 from imagination.utils.errors import UserError
 from imagination.utils.precision import resolved
 
@@ -41,7 +41,7 @@ def make_trainer(config: DictConfig, first_step: int) -> Trainer:
             precision=resolved(config.trainer.precision),
             # to Lightning, micro-batches are batches
             accumulate_grad_batches=config.trainer.accumulate_grad_batches * config.data.micro_batches,
-            callbacks=callbacks,
+            callbacks=[LoggedEpochs(), *callbacks],
             logger=loggers or False,
             plugins=[CheckpointFiles(), cluster_environment()],
         )
@@ -49,6 +49,7 @@ def make_trainer(config: DictConfig, first_step: int) -> Trainer:
         if isinstance(error.__cause__, (MisconfigurationException, TypeError, ValueError)):
             raise UserError(f"trainer: {error.__cause__}; change or remove the argument") from error
         raise
+    pass_signals_on(trainer)
     return trainer
 
 

@@ -65,6 +65,16 @@ def _handle(number: int, frame: FrameType | None) -> None:
         check()
 
 
+def interrupt(number: int) -> None:
+    """End this process as the signal `number` does, because it ended a subprocess.
+
+    Raises:
+        Interrupted: always.
+    """
+    _State.signal = _State.signal or number
+    raise Interrupted
+
+
 def received() -> bool:
     """Return whether this process has received a signal."""
     return _State.signal is not None
@@ -108,13 +118,8 @@ def hold() -> None:
 
 
 def release() -> None:
-    """Handle signals again.
-
-    Raises:
-        Interrupted: if a signal was received.
-    """
+    """Handle signals again; `check` raises for one that was received since `hold`."""
     _State.held = False
-    check()
 
 
 def report(advice: str = "") -> None:

@@ -7,13 +7,14 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process, resource_tracker
-from signal import SIG_BLOCK, SIG_IGN, SIG_SETMASK, SIGINT, pthread_sigmask, signal
+from signal import SIG_BLOCK, SIG_IGN, SIG_SETMASK, pthread_sigmask, signal
 from threading import Thread
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import cv2
 
 from imagination.utils.errors import WorkerDiedError, check_range
+from imagination.utils.interrupts import SIGNALS
 from imagination.views.observer import Observer
 
 WORKER_DIED = "workers: a worker process died, possibly out of memory; reduce data.workers"
@@ -128,9 +129,9 @@ def _close_result_writer(worker: ProcessPoolExecutor) -> None:
 
 @contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """Block SIGINT: child processes inherit the mask, and the main process handles Ctrl-C after the block."""
-    resource_tracker.ensure_running()  # starting it later would unblock SIGINT
-    mask = pthread_sigmask(SIG_BLOCK, [SIGINT])
+    """Block signals that end the command: child processes inherit the mask, and the main process handles them later."""
+    resource_tracker.ensure_running()  # starting it later would unblock them
+    mask = pthread_sigmask(SIG_BLOCK, SIGNALS)
     try:
         yield
     finally:
@@ -142,7 +143,8 @@ def _start(observer: Observer) -> None:
     global _observer
     _observer = observer
     cv2.setNumThreads(1)  # one core for each worker
-    signal(SIGINT, SIG_IGN)
+    for number in SIGNALS:
+        signal(number, SIG_IGN)
     os.nice(5)  # training in the main process has priority
     logging.getLogger().addHandler(_records)
     logging.captureWarnings(True)
