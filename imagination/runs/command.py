@@ -79,7 +79,7 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
             with user_errors_reported(), interruption_reported():
                 sys.argv[1:] = normalized(sys.argv[1:])
                 check_renamed(config_name, sys.argv[1:])
-                check_hydra_overrides(sys.argv[1:])
+                check_hydra_overrides(config_name, sys.argv[1:])
                 if check is not None and any(map(sweeps, sys.argv[1:])):
                     raise UserError(
                         f"-m: imagination.{config_name} has no sweeps; run the command once for each value"

@@ -51,14 +51,26 @@ class DelayedRunFolder(Callback):
             _set_hydra("run.dir", self._run_dir)
 
 
-def check_hydra_overrides(words: Sequence[str]) -> None:
+WITH_RUN_FOLDER = ("train", "evaluate", "study", "map", "serve")
+"""Commands that have a run folder."""
+
+
+def check_hydra_overrides(command: str, words: Sequence[str]) -> None:
     """Refuse overrides of Hydra's folders that would have no effect.
 
+    Args:
+        command: name of the command, such as "train".
+        words: words of a command line.
+
     Raises:
-        UserError: on the first such override in a command line.
+        UserError: on the first such override.
     """
     for text in words:
         value = text.partition("=")[2]
+        if override_key(text) == "hydra.run.dir" and command not in WITH_RUN_FOLDER:
+            raise UserError(
+                f"hydra.run.dir: got {value!r}, but imagination.{command} has no run folder; leave it out"
+            )
         if (expected := FIXED.get(override_key(text))) and value not in ("null", "false", "False"):
             raise UserError(f"{override_key(text)}: got {value!r}, expected {expected}; leave it out")
 

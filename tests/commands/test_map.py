@@ -162,7 +162,10 @@ def test_user_errors_get_one_message(command: Command, arguments: list[str], mes
     assert message in " ".join(done.stderr.split())
 
 
-def test_ctrl_c_saves_the_map(tmp_path: Path, unit_file: Path, frames: list[RecordedFrame]) -> None:
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_saves_the_map(
+    tmp_path: Path, unit_file: Path, frames: list[RecordedFrame], number: int, code: int
+) -> None:
     many = [
         frame._replace(stamp=frames[0].stamp + number * 10**8) for number, frame in enumerate(frames * 150)
     ]
@@ -180,10 +183,13 @@ def test_ctrl_c_saves_the_map(tmp_path: Path, unit_file: Path, frames: list[Reco
             while not list((tmp_path / "outputs").glob("map/*/shown")):
                 assert process.poll() is None, (tmp_path / "stderr").read_text()
                 time.sleep(0.02)
-            process.send_signal(signal.SIGINT)
-            assert process.wait(120) == 130
+            process.send_signal(number)
+            time.sleep(0.05)
+            process.send_signal(number)  # while it saves
+            assert process.wait(120) == code
         finally:
             process.kill()
     text = (tmp_path / "stderr").read_text()
-    assert "Traceback" not in text and "Interrupted" in text
+    assert "Traceback" not in text and text.count("Interrupted") == 1
+    assert "imagination.map recording=bag" in text
     assert load_maps(tmp_path / "outputs" / "map" / "latest").known.any()

@@ -8,6 +8,7 @@ from omegaconf import OmegaConf
 
 from imagination.config.user_messages import explain
 from imagination.runs.command import run_command
+from imagination.runs.final_record import FINAL, write_final_record
 from imagination.runs.finished_trainings import (
     is_evaluation_only,
     train_or_reuse,
@@ -20,7 +21,7 @@ from imagination.utils.errors import UserError
 from tests.conftest import Command
 
 OVERRIDES = ["scale=test"]
-DONE = "tables/mapping.csv", "checkpoints/last.ckpt"
+DONE = FINAL, "checkpoints/last.ckpt"
 
 
 def run(outputs: Path, date: str, overrides: list[str], *files: str) -> Path:
@@ -30,19 +31,23 @@ def run(outputs: Path, date: str, overrides: list[str], *files: str) -> Path:
     for name in ("run.log", *files):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).touch()
-    config.paths.run, config.sweep_dir = str(folder), None
+    if FINAL in files:
+        write_final_record(folder, score=None)
+    config.paths.run = str(folder)
     OmegaConf.save(config, folder / COMPOSED)
     return folder
 
 
 @pytest.fixture
 def called(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
-    """Record command lines instead of running commands; a training writes a finished run."""
+    """Record command lines instead of running commands; a training finishes a new run or the resumed one."""
     lines: list[str] = []
 
     def record(name: str, arguments: list[str]) -> None:
         lines.append(" ".join([name, *arguments]))
-        if not arguments[0].startswith("ckpt_path"):
+        if arguments[0].startswith("resume="):
+            write_final_record(Path(arguments[0].removeprefix("resume=")), score=None)
+        else:
             run(tmp_path, "new", arguments[1:], *DONE, "checkpoints/best.ckpt")
 
     monkeypatch.setattr("imagination.runs.finished_trainings.run_command", record)
@@ -96,7 +101,7 @@ def test_a_run_of_other_code_does_not_count(
 
 
 def test_a_run_without_a_checkpoint_does_not_count(tmp_path: Path, called: list[str]) -> None:
-    run(tmp_path, "1", OVERRIDES, "tables/mapping.csv")
+    run(tmp_path, "1", OVERRIDES, FINAL)
     train_or_reuse("chair_unet", OVERRIDES, tmp_path)
     assert called == ["train +experiment=chair_unet scale=test"]
 
@@ -114,8 +119,25 @@ def test_a_damaged_run_does_not_count(
 def test_an_unfinished_run_is_resumed(tmp_path: Path, called: list[str]) -> None:
     folder = run(tmp_path, "1", OVERRIDES, "checkpoints/last.ckpt")
     run(tmp_path, "2", OVERRIDES)  # ended before its first checkpoint
+    assert train_or_reuse("chair_unet", OVERRIDES, tmp_path).is_relative_to(folder)
+    assert called == [f"train resume={folder}"]
+
+
+def test_tables_alone_do_not_finish_a_run(tmp_path: Path, called: list[str]) -> None:
+    """As of a run that was killed while it wrote its results."""
+    folder = run(tmp_path, "1", OVERRIDES, "checkpoints/last.ckpt", "tables/mapping.csv")
     train_or_reuse("chair_unet", OVERRIDES, tmp_path)
-    assert called == [f"train ckpt_path={folder}/checkpoints/last.ckpt"]
+    assert called == [f"train resume={folder}"]
+
+
+def test_a_training_that_ends_unfinished_is_not_evaluated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A subprocess that ends with exit code 0 before its run is finished."""
+    monkeypatch.setattr("imagination.runs.finished_trainings.run_command", lambda name, arguments: None)
+    run(tmp_path, "1", OVERRIDES, "checkpoints/last.ckpt", "checkpoints/best.ckpt", "tables/mapping.csv")
+    with pytest.raises(UserError, match="chair_unet: .*final record"):
+        train_or_reuse("chair_unet", OVERRIDES, tmp_path)
 
 
 def test_evaluation_settings_retrain_nothing() -> None:

@@ -202,7 +202,7 @@ def test_the_best_recipe_differs_from_the_paper_in_loss_and_update_rule(category
     assert theirs["model"]["loss"]["_target_"].endswith("WeightedBCE")
     assert ours["mapping"]["registration"]["_target_"].endswith(".Mean")
     for config in (ours, theirs):
-        del config["name"], config["sweep_dir"]
+        del config["name"]
         del config["model"]["loss"], config["model"]["module"]["loss"]
         del config["mapping"]["registration"], config["evaluation"], config["callbacks"]["mapping_evaluation"]
     assert ours == theirs

@@ -57,7 +57,6 @@ def test_without_overrides_everything_is_as_in_the_run() -> None:
     ]  # in the place of references
     trained = compose("train", [*choices, *values, "paths.run=."])
     evaluated = evaluation_config([checkpoint(choices, *values)], ["ckpt=best.ckpt"])
-    assert evaluated.sweep_dir is None  # contains the time, which a report would take for a swept value
     for key in NODES:
         assert node(evaluated, key) == node(trained, key), key
 

@@ -135,16 +135,14 @@ def test_swept_values_are_found_in_configs_without_overrides(sweep: Path) -> Non
     where = sweep / "0" / "tables" / "provenance.json"
     where.write_text(json.dumps({"command": "python -m somebody.s worker"}))
     assert read(sweep).commands == [f"python -m imagination.report folder={sweep}"]
-    where.write_text(json.dumps({"command": f"{command} sweep_dir=old"}))
+    where.write_text(json.dumps({"command": f"{command} hydra.sweep.dir=old"}))
     assert read(sweep).commands == [
         command,
         f"python -m imagination.report folder={sweep}",
     ]  # the command of the search
     for path in sweep.glob("*/config.yaml"):
         config = yaml.safe_load(path.read_text())
-        path.write_text(
-            yaml.safe_dump({**config, "choices": [], "sweep_dir": f"multirun_{path.parent.name}"})
-        )
+        path.write_text(yaml.safe_dump({**config, "choices": []}))
     found = Multirun(sweep)
     assert sorted(found.swept) == ["data.delta", "model.alpha_max"] or sorted(found.swept) == [
         "kernels.imaginable",

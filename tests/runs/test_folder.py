@@ -3,16 +3,18 @@
 import errno
 import logging
 import multiprocessing
+import random
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from imagination.runs.folder import COMPOSED, create_folder, find_latest, point_latest
+from imagination.runs.folder import COMPOSED, create_folder, find_latest, point_latest, restore_latest
 from imagination.runs.locking import locked
 from imagination.runs.logging import FILE_ONLY, logging_to
+from imagination.utils import atomic_io
 from imagination.utils.atomic_io import replacing, write_text
 from imagination.utils.errors import UserError
 from tests.conftest import ROOT
@@ -30,6 +32,24 @@ def test_latest_is_replaced(tmp_path: Path) -> None:
         point_latest(create_folder(tmp_path, name))
         assert (tmp_path / "latest").resolve() == tmp_path / name
     assert sorted(path.name for path in tmp_path.iterdir()) == ["1", "2", "latest"]
+
+
+def start(parent: Path, seed: int) -> None:
+    """Point `latest` to new folders, some of which are refused, while all temporary folders count as stale."""
+    atomic_io.STALE_SECONDS = -1.0
+    rng = random.Random(seed)
+    for _ in range(40):
+        folder = create_folder(parent, "run")
+        previous = point_latest(folder)
+        if rng.random() < 0.3:
+            restore_latest(folder, previous)
+
+
+def test_simultaneous_starts_never_fail(tmp_path: Path) -> None:
+    with ProcessPoolExecutor(8, mp_context=multiprocessing.get_context("fork")) as pool:
+        list(pool.map(start, [tmp_path] * 8, range(8)))
+    assert (tmp_path / "latest").resolve().parent == tmp_path
+    assert not list(tmp_path.glob(".*.part"))
 
 
 def test_newest_run_is_found(tmp_path: Path) -> None:

@@ -159,7 +159,7 @@ def test_a_lost_job_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     launcher = RayLauncher("local", num_cpus=0.1, num_gpus=0, max_retries=0)
     context = HydraContext(Composer(), Callbacks())  # type: ignore[arg-type]
     launcher.setup(hydra_context=context, task_function=print, config=config)
-    message = r"3 of 3 .*0 \(killed\), 1 \(refused\), 2 \(late\).*sweep_dir=the_sweep"
+    message = r"3 of 3 .*0 \(killed\), 1 \(refused\), 2 \(late\).*hydra\.sweep\.dir=the_sweep"
     with pytest.raises(UserError, match=message):
         launcher.launch([["killed"], ["refused"], ["late"]], 0)
     assert (tmp_path / "late").is_file()

@@ -173,7 +173,7 @@ def test_a_checkpoint_of_another_model_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_our_own_targets_are_trusted(experiment: str) -> None:
-    check_targets(compose("train", [f"+experiment={experiment}", "paths.run=.", "sweep_dir=null"]))
+    check_targets(compose("train", [f"+experiment={experiment}", "paths.run=."]))
 
 
 @pytest.mark.parametrize(
@@ -389,7 +389,7 @@ def test_latest_is_restored(tmp_path: Path) -> None:
     old, new = (create_folder(tmp_path, name) for name in ("old", "new"))
     assert point_latest(old) is None
     previous = point_latest(new)
-    assert previous == "old"
+    assert previous == old
     restore_latest(new, previous)
     assert (tmp_path / "latest").readlink() == Path("old")
     restore_latest(new, previous)  # latest points to another run now

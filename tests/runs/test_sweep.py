@@ -77,7 +77,7 @@ def test_a_folder_without_a_sweep_is_refused(tmp_path: Path) -> None:
 
 def test_a_key_depends_on_the_results_only() -> None:
     key = config_key(compose("train", JOB))
-    assert key == config_key(compose("train", [*JOB, "paths.outputs=elsewhere", "sweep_dir=old"]))
+    assert key == config_key(compose("train", [*JOB, "paths.outputs=elsewhere"]))
     assert key == config_key(compose("train", [*JOB, "+sweep=dilation"]))
     assert key == config_key(compose("train", [*JOB, "cache.max_gigabytes=5"]))
     for change in ("seed=1", "kernels.imaginable=1.2", "mapping/registration=mean", "trainer.max_epochs=3"):
@@ -220,9 +220,9 @@ def test_a_killed_sweep_continues_with_the_remaining_jobs(command: Command, tmp_
     """SIGKILL in the second job after its first checkpoint: it resumes with the same results as without the kill."""
     job = ["-m", *JOB, "trainer.max_epochs=6", "trainer.check_val_every_n_epoch=2", "seed=1,2,3"]
     whole, broken = tmp_path / "whole", tmp_path / "broken"
-    assert command("train", *job, f"sweep_dir={whole}", timeout=1200).returncode == 0
+    assert command("train", *job, f"hydra.sweep.dir={whole}", timeout=1200).returncode == 0
     process = subprocess.Popen(
-        [sys.executable, "-m", "imagination.train", *job, f"sweep_dir={broken}"],
+        [sys.executable, "-m", "imagination.train", *job, f"hydra.sweep.dir={broken}"],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         stderr=subprocess.DEVNULL,
@@ -236,7 +236,7 @@ def test_a_killed_sweep_continues_with_the_remaining_jobs(command: Command, tmp_
     process.wait()
     assert states(broken) == ["done", "stopped", "missing"]
     first = (broken / "0" / "tables" / "mapping.csv").stat().st_mtime_ns
-    done = command("train", *job, f"sweep_dir={broken}", timeout=1200)
+    done = command("train", *job, f"hydra.sweep.dir={broken}", timeout=1200)
     assert done.returncode == 0, done.stderr
     assert states(broken) == ["done"] * 3
     assert (broken / "0" / "tables" / "mapping.csv").stat().st_mtime_ns == first
@@ -254,7 +254,9 @@ def test_evaluations_are_swept_without_training(command: Command, tmp_path: Path
     checkpoint = tmp_path / "outputs" / "chair_unet" / "latest" / "checkpoints" / "best.ckpt"
     before = checkpoint.stat().st_mtime_ns
     for name, count in (("registration", 5), ("cell_width", 6)):
-        done = command("evaluate", f"ckpt={checkpoint}", f"+sweep={name}", f"sweep_dir={name}", timeout=600)
+        done = command(
+            "evaluate", f"ckpt={checkpoint}", f"+sweep={name}", f"hydra.sweep.dir={name}", timeout=600
+        )
         assert done.returncode == 0, done.stderr
         assert states(tmp_path / name) == ["done"] * count
         saved = yaml.safe_load((tmp_path / name / "0" / "config.yaml").read_text())["ckpt"]
@@ -271,10 +273,10 @@ def test_concurrent_jobs_share_the_cache(command: Command, tmp_path: Path) -> No
     """Two processes with one empty cache: the same tables as one after the other, and no incomplete files."""
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
     job = ["-m", *JOB, "kernels.imaginable=0.8,1.4"]
-    done = command("train", *job, "sweep_dir=one", "paths.cache=cache_one", timeout=900)
+    done = command("train", *job, "hydra.sweep.dir=one", "paths.cache=cache_one", timeout=900)
     assert done.returncode == 0, done.stderr
     concurrent = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
-    done = command("train", *job, *concurrent, "sweep_dir=two", "paths.cache=cache_two", timeout=900)
+    done = command("train", *job, *concurrent, "hydra.sweep.dir=two", "paths.cache=cache_two", timeout=900)
     assert done.returncode == 0, done.stderr
     assert states(tmp_path / "two") == ["done"] * 2
     for number in "01":
@@ -288,7 +290,7 @@ def test_concurrent_jobs_share_the_cache(command: Command, tmp_path: Path) -> No
 @pytest.mark.parametrize("name", ["encoders", "backbones"])
 def test_every_option_of_a_sweep_trains(command: Command, tmp_path: Path, name: str) -> None:
     done = command(
-        "train", *JOB, f"+sweep={name}", "trainer.fast_dev_run=true", "sweep_dir=swept", timeout=1200
+        "train", *JOB, f"+sweep={name}", "trainer.fast_dev_run=true", "hydra.sweep.dir=swept", timeout=1200
     )
     assert done.returncode == 0, done.stderr
     assert set(states(tmp_path / "swept")) == {"done"}
@@ -298,7 +300,7 @@ def test_every_option_of_a_sweep_trains(command: Command, tmp_path: Path, name: 
 def test_a_search_is_continued(command: Command, tmp_path: Path) -> None:
     """Optuna: three trials, then the same search for four; finished trials do not run again."""
     pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
-    job = [*JOB, "+hparams_search=optuna", "sweep_dir=search"]
+    job = [*JOB, "+hparams_search=optuna", "hydra.sweep.dir=search"]
     done = command("train", *job, "hydra.sweeper.n_trials=3", timeout=1200)
     assert done.returncode == 0, done.stderr
     first = sweep_jobs.read(tmp_path / "search")

@@ -105,9 +105,13 @@ class RosServer:
     def serve(self, make_mapper: MakeMapper) -> None:
         """Map until Ctrl-C or SIGTERM; see `imagination.serve.Server`."""
         stop = threading.Event()
-        handlers = {
-            number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)
-        }
+        received: list[int] = []
+
+        def handle(number: int, frame: Any) -> None:
+            received.append(number)
+            stop.set()
+
+        handlers = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
         self.transport.open()
         node = MappingNode(make_mapper, self._publish, self.transport.codec, **self.settings)
         try:
@@ -126,6 +130,8 @@ class RosServer:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
             log.info("%s", node.summary())
+        if signal.SIGTERM in received:  # the caller ends with the exit code of a terminated process
+            signal.raise_signal(signal.SIGTERM)
 
     def _subscriptions(self) -> list[tuple[str, str, str]]:
         """Return role, topic and message type of each subscription."""

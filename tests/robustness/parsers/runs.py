@@ -54,7 +54,6 @@ def checkpoints() -> list[bytes]:
 @cache
 def configs() -> list[bytes]:
     config = compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=."])
-    config.sweep_dir = None  # the command removes it as well
     return [(OmegaConf.to_yaml(config) + END).encode()]
 
 

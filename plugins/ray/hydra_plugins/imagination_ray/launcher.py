@@ -79,7 +79,7 @@ class RayLauncher(Launcher):
         if failed:
             raise UserError(
                 f"sweep: {len(failed)} of {len(results)} jobs failed: {', '.join(failed)}; their messages are above. "
-                f"Run the unfinished jobs with the same command and sweep_dir={self.config.hydra.sweep.dir}"
+                f"Run the unfinished jobs with the same command and hydra.sweep.dir={self.config.hydra.sweep.dir}"
             )
         return results
 
