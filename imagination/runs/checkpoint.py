@@ -26,7 +26,6 @@ from imagination.config.overrides import set_keys
 from imagination.models.task_kind import TaskKind
 from imagination.models.weights import mismatches
 from imagination.runs.folder import LAST
-from imagination.utils import interrupts
 from imagination.utils.atomic_io import replacing
 from imagination.utils.errors import UserError, check_choice
 
@@ -41,37 +40,6 @@ def hyperparameters(config: DictConfig) -> dict[str, Any]:
     """Return the hyperparameters that checkpoints of a run hold: the overrides and plain values of its config."""
     values = plain_values(config)
     return {"choices": values.pop("choices"), "values": values}
-
-
-class LoggedEpochs(Callback):
-    """Callback that postpones signals from a checkpoint until the metrics of its epoch are logged.
-
-    Lightning logs them after the checkpoint, from which a resumed run continues with the next epoch.
-    """
-
-    def on_save_checkpoint(
-        self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]
-    ) -> None:
-        if trainer.training:
-            interrupts.hold()
-
-    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self._release()
-
-    def on_train_batch_start(
-        self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int
-    ) -> None:
-        self._release()
-
-    def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self._release()
-
-    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
-        interrupts.release()
-
-    def _release(self) -> None:
-        interrupts.release()
-        interrupts.check()
 
 
 class CheckpointFiles(TorchCheckpointIO):

@@ -8,15 +8,16 @@ from typing import Any
 
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
-from lightning import Callback, Trainer
+from lightning import Callback, LightningModule, Trainer
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Checkpoint, DeviceStatsMonitor, LearningRateMonitor, ProgressBar
 from lightning.pytorch.loggers import Logger
 from lightning.pytorch.strategies import DDPStrategy, Strategy
 from omegaconf import DictConfig
 
-from imagination.runs.checkpoint import CheckpointFiles, LoggedEpochs
+from imagination.runs.checkpoint import CheckpointFiles
 from imagination.runs.distributed import cluster_environment, pass_signals_on
+from imagination.utils import interrupts
 from imagination.utils.errors import UserError
 from imagination.utils.precision import resolved
 
@@ -97,3 +98,34 @@ def check_gradient_clipping(config: DictConfig) -> None:
             f"trainer.gradient_clip_val: got {config.trainer.gradient_clip_val} in mixed precision with a fused "
             "optimizer, which Lightning cannot clip; set model.optimizer.fused=false"
         )
+
+
+class LoggedEpochs(Callback):
+    """Callback that postpones signals from a checkpoint until the metrics of its epoch are logged.
+
+    Lightning logs them after the checkpoint, from which a resumed run continues with the next epoch.
+    """
+
+    def on_save_checkpoint(
+        self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        if trainer.training:
+            interrupts.hold()
+
+    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._release()
+
+    def on_train_batch_start(
+        self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int
+    ) -> None:
+        self._release()
+
+    def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._release()
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        interrupts.release()
+
+    def _release(self) -> None:
+        interrupts.release()
+        interrupts.check()

@@ -240,7 +240,8 @@ def test_a_study_that_is_stopped_twice_continues(tmp_path: Path, command: Comman
     """Only the study's own process is signalled: it stops the training, which saves its checkpoint."""
     whole = tmp_path / "whole"
     whole.mkdir()
-    study = ["study", "scale=test", "experiments=[chair_unet]", "trainer.max_epochs=120", "trainer.check_val_every_n_epoch=120"]
+    long = ["trainer.max_epochs=120", "trainer.check_val_every_n_epoch=120"]
+    study = ["study", "scale=test", "experiments=[chair_unet]", *long]
     words = [sys.executable, "-m", f"imagination.{study[0]}", *study[1:]]
     subprocess.run(words, cwd=whole, env=environment(), check=True, capture_output=True, timeout=900)
     last = tmp_path / LATEST / LAST
