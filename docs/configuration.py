@@ -38,7 +38,10 @@ A key that is not listed has the role of the node that contains it, else *traini
 
 def keys() -> str:
     """Return the table of keys."""
-    lines = [markdown_row(["key", "role", "range", "unit", "in the paper", "earlier names"]), markdown_row(["---"] * 6)]
+    lines = [
+        markdown_row(["key", "role", "range", "unit", "in the paper", "earlier names"]),
+        markdown_row(["---"] * 6),
+    ]
     for name, row in KEYS.items():
         effect = f"{row.role}, resumable" if row.resumable else str(row.role)
         old = ", ".join(f"`{old}`" for old in row.old)

@@ -30,10 +30,13 @@ from imagination.utils.timing import stage, stage_timer
 
 log = logging.getLogger(__name__)
 
+
 @command("study", validate)
 def main(config: DictConfig) -> None:
     """Train the missing networks, then evaluate all networks together."""
-    overrides = [text for text in HydraConfig.get().overrides.task if role(override_key(text)) != Role.COMMAND]
+    overrides = [
+        text for text in HydraConfig.get().overrides.task if role(override_key(text)) != Role.COMMAND
+    ]
     training = [text for text in overrides if not is_evaluation_only(text)]
     evaluation = [f"study={config.compare}"]
     evaluation += [text for text in overrides if is_evaluation_only(text) or override_group(text) == "paths"]

@@ -15,6 +15,7 @@ from imagination.runs.logging import quiet_lightning
 from imagination.runs.preflight import check_accelerator, check_processes, out_of_memory_reported
 from imagination.runs.resume import Run, open_run
 from imagination.runs.run_summary import summary, write_single_view_scores
+from imagination.utils.errors import UserError
 from imagination.utils.timing import stage
 
 if TYPE_CHECKING:
@@ -28,34 +29,50 @@ log = logging.getLogger(__name__)
 
 @command("train")
 def main(config: DictConfig) -> float | None:
-    """Train and evaluate; return the best egocentric IoU on validation scenes, which a search maximises."""
+    """Train and evaluate; return `optimized_metric`, which a search maximises."""
+    if not config.train and not (config.resume or config.ckpt_path):
+        raise UserError(
+            "train: got false for a new run, expected true; evaluate an existing run with resume=<run folder> "
+            "train=false, or a checkpoint with python -m imagination.evaluate ckpt=…"
+        )
+    from imagination.runs.trainer import optimized_score  # imports torch, which --help does not need
+
     with open_run(config) as run:
         log.info("Run folder: %s", run.folder)
         task, trainer = train(run)
+        score = optimized_score(trainer, run.config.optimized_metric)
         if trainer.is_global_zero:
-            scores = write_single_view_scores(run, trainer, task)
-            log.info("%s\n%s", scores, summary(run, best_checkpoint(run)))
-            write_final_record(run.folder, score=best_score(trainer), epochs=trainer.current_epoch)
-        return best_score(trainer)
+            if run.config.test:
+                log.info("%s", write_single_view_scores(run, trainer, task))
+            log.info("%s", summary(run, best_checkpoint(run)))
+            if run.config.train:
+                write_final_record(run.folder, score=score, epochs=trainer.current_epoch)
+        return score
 
 
 def train(run: Run) -> tuple[LitTask, Trainer]:
-    """Build task, data and trainer, train the network, and test its best checkpoint on the test scenes."""
+    """Build task, data and trainer, train the network, and test its best checkpoint on the test scenes.
+
+    `train=false` and `test=false` leave out the training and the test.
+    """
     from imagination.reporting.hyperparameters import record_hyperparameters
+    from imagination.runs.trainer import log_loggers
 
     task, data, trainer = build(run)
     log_loggers(trainer)
     try:
-        with stage("scenes and ground truth"):
-            data.setup("fit")
-        with stage("training"), out_of_memory_reported(run.config):
-            trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint, weights_only=True)
-        with stage("scenes and ground truth"):
-            data.setup("test")
-        with stage("evaluation"):
-            trainer.test(
-                task, datamodule=data, ckpt_path=best_checkpoint(run), verbose=False, weights_only=True
-            )
+        if run.config.train:
+            with stage("scenes and ground truth"):
+                data.setup("fit")
+            with stage("training"), out_of_memory_reported(run.config):
+                trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint, weights_only=True)
+        if run.config.test:
+            with stage("scenes and ground truth"):
+                data.setup("test")
+            with stage("evaluation"):
+                trainer.test(
+                    task, datamodule=data, ckpt_path=best_checkpoint(run), verbose=False, weights_only=True
+                )
     finally:
         data.close()
     if trainer.is_global_zero:
@@ -85,27 +102,10 @@ def build(run: Run) -> tuple[LitTask, SceneData, Trainer]:
     return task, instantiate(config.data.module), make_trainer(config, first_step)
 
 
-def log_loggers(trainer: Trainer) -> None:
-    """Log where the loggers of a run write."""
-    from lightning.pytorch.loggers import TensorBoardLogger
-
-    for logger in trainer.loggers:
-        if isinstance(logger, TensorBoardLogger):
-            log.info("TensorBoard: tensorboard --logdir %s", logger.root_dir)
-        elif folder := logger.log_dir or logger.save_dir:
-            log.info("%s: %s", type(logger).__name__, folder)
-
-
 def best_checkpoint(run: Run) -> Path | None:
     """Return the checkpoint with the best validation score; None, the weights in memory, if there is no checkpoint."""
     path = run.folder / BEST
     return path if path.is_file() else None
-
-
-def best_score(trainer: Trainer) -> float | None:
-    """Return the validation score of the best checkpoint; None if there is no checkpoint."""
-    scores = [getattr(callback, "best_model_score", None) for callback in trainer.checkpoint_callbacks]
-    return next((float(score) for score in scores if score is not None), None)
 
 
 if __name__ == "__main__":

@@ -54,7 +54,12 @@ class Key(NamedTuple):
 
 
 def _training(
-    low: float, high: float, unit: str = "", symbol: str = "", old: tuple[str, ...] = (), resumable: bool = False
+    low: float,
+    high: float,
+    unit: str = "",
+    symbol: str = "",
+    old: tuple[str, ...] = (),
+    resumable: bool = False,
 ) -> Key:
     return Key(Role.TRAINING, low, high, unit, symbol, old, resumable)
 
@@ -93,11 +98,11 @@ KEYS: Mapping[str, Key] = {
     ),
     "data.hflip_probability": _training(0.0, 1.0, old=("scale.hflip_probability", "scale.mirrored_share")),
     "data.batch_size": _training(1, 100_000, "views", "B", ("scale.batch_size",)),
-    "data.micro_batches": _training(
-        1, 100_000, "micro-batches", old=("scale.accumulate",)
-    ),
+    "data.micro_batches": _training(1, 100_000, "micro-batches", old=("scale.accumulate",)),
     "data.workers": Key(Role.EXECUTION, 0, 1024, "processes", old=("scale.workers",), resumable=True),
-    "data.shards": Key(Role.TRAINING, resumable=True),  # the folder may have been moved; reading it checks its kind
+    "data.shards": Key(
+        Role.TRAINING, resumable=True
+    ),  # the folder may have been moved; reading it checks its kind
     "data.module.shard_cache": Key(Role.LOCATION),
     "data.module.shard_gigabytes": Key(Role.EXECUTION),
     "data.module.observer": Key(Role.LOCATION),  # set data.observer instead
@@ -141,7 +146,9 @@ KEYS: Mapping[str, Key] = {
     "hrnet.micro_batches": _training(1, 100_000, "micro-batches", old=("scale.hrnet_accumulate",)),
     "hrnet.collection_epochs": _training(1, LARGE, "epochs"),
     "hrnet.epochs": _training(1, LARGE, "epochs", old=("scale.hrnet_epochs", "scale.hrnet_rounds")),
-    "hrnet.max_epochs": _training(1, LARGE, "epochs", old=("scale.hrnet_max_epochs", "scale.hrnet_most_rounds")),
+    "hrnet.max_epochs": _training(
+        1, LARGE, "epochs", old=("scale.hrnet_max_epochs", "scale.hrnet_most_rounds")
+    ),
     "hrnet.final_learning_rate": _training(0.0, 10.0, old=("scale.hrnet_final_learning_rate",)),
     "hrnet.check_val_every_n_epoch": _training(1, 1_000_000, "epochs", old=("scale.hrnet_eval_every",)),
     # trainer
@@ -173,7 +180,9 @@ KEYS: Mapping[str, Key] = {
     # evaluation
     "evaluation.cell_widths": Key(Role.EVALUATION, unit="m", symbol="cell width", old=("scale.cell_widths",)),
     "evaluation.viewpoint_sets": Key(Role.EVALUATION, 1, 10_000, old=("scale.viewpoint_sets",)),
-    "evaluation.orientations": Key(Role.EVALUATION, 1, 1000, symbol="orientations", old=("scale.orientations",)),
+    "evaluation.orientations": Key(
+        Role.EVALUATION, 1, 1000, symbol="orientations", old=("scale.orientations",)
+    ),
     "evaluation.known_scenes": Key(Role.EVALUATION, old=("evaluation.known_homes",)),
     "evaluation": Key(Role.EVALUATION),
     "study": Key(Role.EVALUATION),
@@ -210,15 +219,15 @@ KEYS: Mapping[str, Key] = {
     "viewer.max_frames": Key(Role.EXECUTION, old=("viewer.most",)),
     "logger": Key(Role.EXECUTION),
     "extras": Key(Role.EXECUTION),
+    "train": Key(Role.EXECUTION, resumable=True),
+    "test": Key(Role.EXECUTION, resumable=True),
+    "optimized_metric": Key(Role.EXECUTION),
     "hydra.sweep.dir": Key(Role.LOCATION, old=("sweep_dir",)),
     "hydra.run.dir": Key(Role.LOCATION),
     "hydra": Key(Role.EXECUTION),
     "program": Key(Role.EXECUTION),
     # which
     "choices": Key(Role.COMMAND),
-    "train": Key(Role.COMMAND),
-    "test": Key(Role.COMMAND),
-    "optimized_metric": Key(Role.COMMAND),
     "ckpt": Key(Role.COMMAND),
     "ckpt_path": Key(Role.COMMAND, resumable=True),
     "resume": Key(Role.COMMAND, resumable=True),

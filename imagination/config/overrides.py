@@ -58,7 +58,9 @@ def set_keys(override: str) -> list[str]:
     """
     parsed = OverridesParser.create().parse_override(override)
     key, value = override_key(override), parsed.value()
-    return [f"{key}.{name}" for name, _ in leaves(_plain(value))] if isinstance(value, dict) and value else [key]
+    return (
+        [f"{key}.{name}" for name, _ in leaves(_plain(value))] if isinstance(value, dict) and value else [key]
+    )
 
 
 def _plain(value: Any) -> Any:

@@ -19,7 +19,14 @@ from imagination.config.plugin_registry import activate, core_conf, options_of
 from imagination.config.search_path import hydra_initialized
 from imagination.utils.errors import UserError
 
-TABLES = ("categories", "categories.*", "categories.*.aliases", "callbacks", "logger", "evaluation.approaches")
+TABLES = (
+    "categories",
+    "categories.*",
+    "categories.*.aliases",
+    "callbacks",
+    "logger",
+    "evaluation.approaches",
+)
 """Patterns of the nodes to which a user adds rows under names of their choice."""
 
 NO_KEY = re.compile(r"Could not override '([^']+)'")

@@ -10,7 +10,12 @@ from omegaconf.errors import OmegaConfBaseException
 from imagination.utils import interrupts
 from imagination.utils.errors import UserError
 
-EXTRAS: Mapping[str, str] = {"hydra/launcher/joblib": "joblib", "hydra/sweeper/optuna": "optuna"}
+EXTRAS: Mapping[str, str] = {
+    "hydra/launcher/joblib": "joblib",
+    "hydra/launcher/submitit_local": "slurm",
+    "hydra/launcher/submitit_slurm": "slurm",
+    "hydra/sweeper/optuna": "optuna",
+}
 """Extras of the project that install config options of Hydra."""
 
 

@@ -34,7 +34,9 @@ def validate(config: DictConfig) -> None:
     _check_baseline(config.hrnet)
     widths = config.evaluation.cell_widths
     if not isinstance(widths, ListConfig) or not widths:
-        raise UserError(f"evaluation.cell_widths: got {widths!r}, expected a list of metres such as [3.0, 2.5]")
+        raise UserError(
+            f"evaluation.cell_widths: got {widths!r}, expected a list of metres such as [3.0, 2.5]"
+        )
     for width in widths:
         _check_number("evaluation.cell_widths", width, *CELL_WIDTH)
     for extent in (config.ego.extent, config.world.extent):

@@ -20,6 +20,7 @@ from imagination.utils.errors import UserError
 
 log = logging.getLogger(__name__)
 
+
 def is_evaluation_only(override: str) -> bool:
     """Return whether only the evaluation reads the key of an override."""
     return role(override_key(override)) == Role.EVALUATION

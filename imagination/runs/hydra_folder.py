@@ -98,7 +98,8 @@ def new_run_folder(config: DictConfig, *, continues: bool = False) -> Path:
 
 def experiment_folder(config: DictConfig) -> Path:
     """Return the folder of all runs of an experiment, which contains the `latest` symlink."""
-    return Path(config.paths.outputs) / config.name
+    folder: Path = Path(config.paths.outputs) / config.name
+    return folder
 
 
 def check_holds_no_run(folder: Path, *, continues: bool = False) -> None:

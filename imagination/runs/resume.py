@@ -100,7 +100,8 @@ def open_run(config: DictConfig) -> Iterator[Run]:
         resuming = resume_requested or (folder / COMPOSED).is_file()  # unfinished job of a sweep
         remove_parts(folder)
         run = resume_run(folder, config) if resuming else begin_run(folder, config)
-        remove_final_record(folder)
+        if run.config.train:
+            remove_final_record(folder)
         describe_run(folder, run.config)
         try:
             yield run

@@ -1,8 +1,9 @@
-"""Lightning's Trainer of a run, with its callbacks and loggers."""
+"""Lightning's Trainer of a run: its callbacks and loggers, and the score of the run."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Mapping, Sequence
 from datetime import timedelta
 from typing import Any
 
@@ -11,15 +12,21 @@ from hydra.utils import instantiate
 from lightning import Callback, LightningModule, Trainer
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Checkpoint, DeviceStatsMonitor, LearningRateMonitor, ProgressBar
-from lightning.pytorch.loggers import Logger
+from lightning.pytorch.loggers import Logger, TensorBoardLogger
 from lightning.pytorch.strategies import DDPStrategy, Strategy
 from omegaconf import DictConfig
 
 from imagination.runs.checkpoint import CheckpointFiles
 from imagination.runs.distributed import cluster_environment, pass_signals_on
 from imagination.utils import interrupts
-from imagination.utils.errors import UserError
+from imagination.utils.errors import UserError, require_extra
 from imagination.utils.precision import resolved
+
+log = logging.getLogger(__name__)
+
+
+PACKAGES: Mapping[str, str] = {"WandbLogger": "wandb", "MLFlowLogger": "mlflow"}
+"""Package, and extra of the same name, that a logger needs."""
 
 
 def make_trainer(config: DictConfig, first_step: int) -> Trainer:
@@ -67,6 +74,8 @@ def make_loggers(node: DictConfig | None, first_step: int) -> list[Logger]:
         return []
     nodes = [node] if "_target_" in node else [each for each in node.values() if each]
     for each in nodes:
+        if package := PACKAGES.get(each._target_.rpartition(".")[2]):
+            require_extra(package, package)
         if "purge_step" in each:
             each.purge_step = first_step
     return [instantiate(each) for each in nodes]
@@ -129,3 +138,34 @@ class LoggedEpochs(Callback):
     def _release(self) -> None:
         interrupts.release()
         interrupts.check()
+
+
+def log_loggers(trainer: Trainer) -> None:
+    """Log where the loggers of a run write."""
+    for logger in trainer.loggers:
+        if isinstance(logger, TensorBoardLogger):
+            log.info("TensorBoard: tensorboard --logdir %s", logger.root_dir)
+        elif folder := logger.log_dir or logger.save_dir:
+            log.info("%s: %s", type(logger).__name__, folder)
+
+
+def optimized_score(trainer: Trainer, metric: str) -> float | None:
+    """Return the score that a search maximises.
+
+    Args:
+        trainer: trainer after the training.
+        metric: name of the metric. For the metric that the best checkpoint monitors, the score of that checkpoint is
+            returned, or None if there is none; for others, the value that was logged last.
+
+    Raises:
+        UserError: if the metric was not logged.
+    """
+    for callback in trainer.checkpoint_callbacks:
+        if getattr(callback, "monitor", None) == metric:
+            score = getattr(callback, "best_model_score", None)
+            return None if score is None else float(score)
+    if metric not in trainer.callback_metrics:
+        raise UserError(
+            f"optimized_metric: got {metric!r}, expected one of: {', '.join(sorted(trainer.callback_metrics))}"
+        )
+    return float(trainer.callback_metrics[metric])

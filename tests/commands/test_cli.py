@@ -167,7 +167,12 @@ def only(folder: Path, pattern: str) -> Path:
 @pytest.mark.parametrize("name", ["train", "render"])
 def test_ctrl_c_while_scenes_are_built(tmp_path: Path, name: str) -> None:
     """SIGINT to the process group, as from a terminal: one message within seconds."""
-    arguments = ["data.splits.train=40", "ground_truth.camera.width=512", "ego.resolution=0.03", "data.workers=2"]
+    arguments = [
+        "data.splits.train=40",
+        "ground_truth.camera.width=512",
+        "ego.resolution=0.03",
+        "data.workers=2",
+    ]
     process = subprocess.Popen(
         [sys.executable, "-m", f"imagination.{name}", "scale=test", *arguments],
         cwd=tmp_path,

@@ -172,7 +172,7 @@ def test_invalid_settings_are_refused_before_the_trainings(
 
 def test_an_unknown_comparison_trains_nothing(command: Command, tmp_path: Path) -> None:
     done = command("study", "scale=test", "compare=nothing", "experiments=[chair_unet]")
-    assert done.returncode == 2 and  "study: got 'nothing'" in done.stderr, done.stderr
+    assert done.returncode == 2 and "study: got 'nothing'" in done.stderr, done.stderr
     assert not (tmp_path / "outputs").exists()
 
 

@@ -182,7 +182,9 @@ def test_the_buffer_holds_enough_for_the_first_batch(scale: str) -> None:
     collection = config.data.parallel_scenes * values.update_interval
     for _ in range(values.prefill_steps // values.update_interval + 1):
         buffer.insert({"pose": np.zeros((collection, 3))})
-    assert len(buffer.draw(config.data.batch_size, np.random.default_rng(0))["pose"]) == config.data.batch_size
+    assert (
+        len(buffer.draw(config.data.batch_size, np.random.default_rng(0))["pose"]) == config.data.batch_size
+    )
 
 
 def test_an_unknown_precision_is_refused_by_name() -> None:

@@ -7,7 +7,16 @@ from imagination.config.compose import compose
 from imagination.config.key_roles import KEYS, Role, is_resumable, role
 from imagination.config.overrides import set_keys
 
-ELSEWHERE = ("data.shards", "data.module.shard", "viewer.", "ckpt", "ade20k", "experiments", "compare", "study")
+ELSEWHERE = (
+    "data.shards",
+    "data.module.shard",
+    "viewer.",
+    "ckpt",
+    "ade20k",
+    "experiments",
+    "compare",
+    "study",
+)
 """Prefixes of keys that other commands or options have."""
 
 

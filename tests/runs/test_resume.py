@@ -103,7 +103,10 @@ def test_a_checkpoint_sets_only_keys_of_the_training_and_the_evaluation(
     state = read_state(path)
     state[KEY]["choices"].append(override)
     torch.save(state, path)
-    for read in (lambda: Checkpoint.read(path).config, lambda: evaluation_config([Checkpoint.read(path)], [])):
+    for read in (
+        lambda: Checkpoint.read(path).config,
+        lambda: evaluation_config([Checkpoint.read(path)], []),
+    ):
         with pytest.raises(UserError) as error:
             read()
         assert override in str(error.value) and str(path) in str(error.value)
@@ -116,7 +119,9 @@ def test_values_of_a_checkpoint_set_no_paths(tmp_path: Path) -> None:
     cache = {"folder": "/victim", "max_gigabytes": 0.001}
     values = state[KEY]["values"]
     values["paths"] = {"outputs": "/victim", "cache": "/victim", "run": "/victim"}
-    values["cache"] = values["data"]["observer"]["cache"] = values["data"]["module"]["observer"]["cache"] = cache
+    values["cache"] = values["data"]["observer"]["cache"] = values["data"]["module"]["observer"]["cache"] = (
+        cache
+    )
     values["callbacks"]["mapping_evaluation"]["folder"] = values["trainer"]["default_root_dir"] = "/victim"
     values["trainer"]["devices"] = 64
     values["model"]["width"] = 8
@@ -275,7 +280,10 @@ def test_every_experiment_trains_and_resumes(command: Command, tmp_path: Path, e
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_tables(tmp_path: Path, command: Command) -> None:
     """Two trainings with separate empty caches; another seed gives other tables. In bfloat16, as at small scale."""
-    learning = ["trainer.max_epochs=10", "model.optimizer.lr=0.01"]  # predictions of untrained units are all equal
+    learning = [
+        "trainer.max_epochs=10",
+        "model.optimizer.lr=0.01",
+    ]  # predictions of untrained units are all equal
     job = [*JOB, *learning, "trainer.precision=bf16-mixed"]
     for folder, seed in (("one", 5), ("two", 5), ("other", 6)):
         done = command("train", *job, f"seed={seed}", f"paths.outputs={folder}", timeout=900)
