@@ -142,5 +142,5 @@ def _unresolved(run: Any) -> str:
 
 def _set_hydra(key: str, value: str) -> None:
     hydra: Any = HydraConfig.instance().cfg
-    with read_write(hydra), open_dict(hydra):
+    with read_write(hydra.hydra), open_dict(hydra.hydra):
         OmegaConf.update(hydra, f"hydra.{key}", value)
