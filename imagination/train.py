@@ -35,11 +35,11 @@ def main(config: DictConfig) -> float | None:
             "train: got false for a new run, expected true; evaluate an existing run with resume=<run folder> "
             "train=false, or a checkpoint with python -m imagination.evaluate ckpt=…"
         )
-    from imagination.runs.trainer import optimized_score  # imports torch, which --help does not need
-
     with open_run(config) as run:
         log.info("Run folder: %s", run.folder)
         task, trainer = train(run)
+        from imagination.runs.trainer import optimized_score  # imports torch, which errors before do without
+
         score = optimized_score(trainer, run.config.optimized_metric)
         if trainer.is_global_zero:
             if run.config.test:

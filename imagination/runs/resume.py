@@ -108,7 +108,9 @@ def open_run(config: DictConfig) -> Iterator[Run]:
         except Exception as error:
             if interrupts.received():  # the error is a consequence, such as a lost connection
                 raise
-            raise explained_failure(error, run) from error
+            if (failure := explained_failure(error, run)) is not error:
+                raise failure from error
+            raise
 
 
 @contextmanager
