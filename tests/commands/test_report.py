@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from imagination import report
+from imagination.utils import interrupts
 from tests.conftest import Command
 from tests.helpers.run_folders import make_folder
 
@@ -37,6 +38,7 @@ def test_overrides_choose_the_folder_and_the_page(
     """The files of a report are tested in tests/reporting."""
     calls = []
     monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    monkeypatch.setattr(interrupts, "install", lambda: None)  # in the process of the tests
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["report", *arguments])
     monkeypatch.setattr(report, "write", lambda *paths: calls.append(paths))
