@@ -9,7 +9,6 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from imagination.config.key_roles import CELL_WIDTH, KEYS
 from imagination.config.trainer_keys import check_trainer
-from imagination.geometry.grid import cells_of
 from imagination.utils.errors import UserError, check_choice, check_range
 from imagination.utils.precision import PRECISIONS
 
@@ -20,6 +19,8 @@ def validate(config: DictConfig) -> None:
     Raises:
         UserError: on the first invalid value, with its key and what is allowed.
     """
+    from imagination.geometry.grid import cells_of  # imports numpy, which --help does not need
+
     check_name(config.name)
     read = [key for key in KEYS if _is_read(config, key)]
     for key in sorted(read, key=partial(_is_reference, config)):  # values before the references to them

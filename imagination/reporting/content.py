@@ -22,6 +22,7 @@ from imagination.reporting.load_run import ConfusionCounts, Results, missing_map
 from imagination.reporting.paper_layout import Layout
 from imagination.reporting.style import MEANINGS, label
 from imagination.runs import sweep_jobs
+from imagination.runs.command_line import command_line
 from imagination.utils.tabular import Row
 
 PRIMARY_TABLES = ("mapping.csv", "paired.csv", "trials.csv", SCENES, TABLE)
@@ -143,7 +144,7 @@ def commands(results: Results) -> list[str]:
 
 def report_command(folder: Path) -> str:
     """Return the command that writes the report on a results folder."""
-    return shlex.join(["python", "-m", "imagination.report", assignment("folder", str(folder))])
+    return command_line("report", [assignment("folder", str(folder))])
 
 
 def trainings(results: Results) -> list[str]:

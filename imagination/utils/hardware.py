@@ -8,8 +8,9 @@ from pathlib import Path
 
 
 def command_line() -> str:
-    """Return the command that this process was started with, quoted for a shell."""
-    return shlex.join(["python", "-m", f"imagination.{Path(sys.argv[0]).stem}", *sys.argv[1:]])
+    """Return the command that this process was started with, quoted for a shell; a console script as its module."""
+    name = Path(sys.argv[0]).stem.removeprefix("imagination-").replace("-", "_")
+    return shlex.join(["python", "-m", f"imagination.{name}", *sys.argv[1:]])
 
 
 def hardware() -> str:

@@ -13,7 +13,7 @@ COMMANDS = {
         ["-m", "imagination.train", "--help"],
         "import hydra, numpy, yaml",
     ),
-    "python -m imagination.plugins": (["-m", "imagination.plugins"], "import hydra, numpy, yaml"),
+    "python -m imagination.plugins": (["-m", "imagination.plugins"], "import hydra, yaml"),
     "python -m imagination": (["-m", "imagination"], "import ast, difflib"),
 }
 """Arguments of each command, and the imports that it requires."""

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from imagination.__main__ import commands
+from imagination.utils.hardware import command_line
 from tests.conftest import ROOT
 
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
@@ -88,6 +89,14 @@ def test_a_console_script_behaves_as_the_module(tmp_path: Path, name: str, argum
     other = run(tmp_path, sys.executable, "-m", f"imagination.{name}", *arguments)
     assert one.stdout + one.stderr
     assert (one.returncode, one.stdout, one.stderr) == (other.returncode, other.stdout, other.stderr)
+
+
+@pytest.mark.parametrize(
+    "program", ["/env/bin/imagination-prepare-shards", "/env/lib/imagination/prepare_shards.py"]
+)
+def test_the_recorded_command_is_that_of_the_module(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
+    monkeypatch.setattr(sys, "argv", [program, "shards=a b"])
+    assert command_line() == "python -m imagination.prepare_shards 'shards=a b'"
 
 
 COMPLETE = """

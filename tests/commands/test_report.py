@@ -1,13 +1,17 @@
 """Command that writes a report on a results folder."""
 
+import sys
 from pathlib import Path
 
 import pytest
 
+from imagination import report
+from imagination.utils import interrupts
 from tests.conftest import Command
 from tests.helpers.run_folders import make_folder
 
 
+@pytest.mark.slow
 def test_a_page_in_the_folder_or_for_the_documentation(command: Command, tmp_path: Path) -> None:
     make_folder(tmp_path / "run")
     done = command("report", "folder=run", "docs=pages/study")
@@ -18,6 +22,29 @@ def test_a_page_in_the_folder_or_for_the_documentation(command: Command, tmp_pat
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "report.html").is_file()
     assert {path.name for path in tmp_path.iterdir()} == {"run", "pages"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "written"),
+    [
+        (["folder=outputs/run"], (Path("outputs/run"), None)),
+        (["folder=run", "docs=docs/study"], (Path("run"), Path("docs/study"))),
+        (["folder='my run,2'"], (Path("my run,2"), None)),
+    ],
+)
+def test_overrides_choose_the_folder_and_the_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], written: tuple[Path, Path | None]
+) -> None:
+    """The files of a report are tested in tests/reporting."""
+    calls = []
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    monkeypatch.setattr(interrupts, "install", lambda: None)  # in the process of the tests
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["report", *arguments])
+    monkeypatch.setattr(report, "write", lambda *paths: calls.append(paths))
+    report.main()
+    assert calls == [written]
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
