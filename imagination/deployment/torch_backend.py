@@ -22,7 +22,7 @@ from imagination.geometry.projection import Band
 from imagination.mapping.predictor import Observation, UnitSpec
 from imagination.models.depth_hits import DepthHits
 from imagination.models.ego_metrics import THRESHOLDS
-from imagination.models.lit_unit import LitUnit
+from imagination.models.task_kind import TaskKind
 from imagination.models.unit import Unit
 from imagination.runs.checkpoint import Checkpoint
 from imagination.utils.errors import UserError
@@ -82,12 +82,12 @@ class TrainedUnit(NamedTuple):
         Raises:
             UserError: if the checkpoint is of a segmentation network or damaged.
         """
-        model = checkpoint.model()
-        if not isinstance(model, LitUnit):
+        if checkpoint.kind is not TaskKind.MAPS:
             raise UserError(
                 f"unit: got {checkpoint.path}, which predicts {checkpoint.kind}, expected a checkpoint that predicts "
                 "maps, such as one of experiment=chair_unet"
             )
+        model: Any = checkpoint.model()
         if not 0 <= model.chosen.min() <= model.chosen.max() < len(THRESHOLDS):
             raise UserError(
                 f"checkpoint {checkpoint.path}: got the threshold indices {model.chosen.tolist()}, expected 0 to "

@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from imagination.config.key_roles import KEYS, Role, is_resumable, role
 from imagination.config.overrides import assignment, leaves, override_key, result_overrides
 from imagination.config.trust import check_targets
+from imagination.config.unknown_keys import is_group
 from imagination.config.user_messages import explain
 from imagination.config.validation import validate
 from imagination.runs.command_line import command_line
@@ -257,7 +258,10 @@ def check_changes(folder: Path, config: DictConfig) -> None:
         key = override_key(text)
         if key == "experiment" or is_resumable(key) or text in saved.choices:
             return False
-        return "/" in key or "@" in key or OmegaConf.select(config, key) != OmegaConf.select(saved, key)
+        overlay = is_group(key) and key not in config  # such as a scale, which sets keys of other nodes
+        if overlay or "/" in key or "@" in key:
+            return True
+        return bool(OmegaConf.select(config, key) != OmegaConf.select(saved, key))
 
     if refused := [text for text in HydraConfig.get().overrides.task if changes(text)]:
         allowed = ", ".join(key for key, row in KEYS.items() if row.resumable)
