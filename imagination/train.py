@@ -35,7 +35,8 @@ def main(config: DictConfig) -> float | None:
         if trainer.is_global_zero:
             scores = write_single_view_scores(run, trainer, task)
             log.info("%s\n%s", scores, summary(run, best_checkpoint(run)))
-            write_final_record(run.folder, score=best_score(trainer), epochs=trainer.current_epoch)
+            epochs = {"epochs": trainer.current_epoch, "max_epochs": run.config.trainer.max_epochs}
+            write_final_record(run.folder, score=best_score(trainer), **epochs)
         return best_score(trainer)
 
 
