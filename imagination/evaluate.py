@@ -53,6 +53,7 @@ def main(config: DictConfig) -> None:
     resolved = [str(resolved_path(Path(path))) for path in paths]  # `latest` may point to another run later
     config.ckpt = resolved[0] if isinstance(config.ckpt, str) else resolved
     with locked(folder), logging_to(folder / "run.log"):
+        remove_parts(folder)  # left by an evaluation that was killed
         write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
         try:
             evaluate(config, protocol, checkpoints, folder)
@@ -101,7 +102,6 @@ def results_folder(config: DictConfig, job_folder: Path | None) -> Path:
         with write_errors_reported(folder):
             folder.mkdir(parents=True, exist_ok=True)
         describe_run(folder, config)
-    remove_parts(folder)  # left by an evaluation that was killed
     return folder
 
 

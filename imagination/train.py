@@ -46,7 +46,8 @@ def main(config: DictConfig) -> float | None:
                 log.info("%s", write_single_view_scores(run, trainer, task))
             log.info("%s", summary(run, best_checkpoint(run)))
             if run.config.train:
-                write_final_record(run.folder, score=score, epochs=trainer.current_epoch)
+                epochs = {"epochs": trainer.current_epoch, "max_epochs": run.config.trainer.max_epochs}
+                write_final_record(run.folder, score=score, **epochs)
         return score
 
 

@@ -47,14 +47,18 @@ def newest_run(outputs: Path, config: DictConfig, finished: bool) -> Path | None
     Args:
         outputs: folder of all experiments.
         config: config of the training.
-        finished: whether only finished runs, which have a final record, are considered.
+        finished: whether only finished runs, which have a final record of all epochs, are considered.
     """
     key = training_key(config)
+
+    def is_finished(folder: Path) -> bool:
+        return (read_final_record(folder) or {}).get("max_epochs") == config.trainer.max_epochs
+
     folders = [
         path.parent
         for path in outputs.glob(f"{config.name}/*/{COMPOSED}")
         if (path.parent / LAST).is_file()
-        and (read_final_record(path.parent) is not None or not finished)
+        and (not finished or is_finished(path.parent))
         and not path.parent.is_symlink()
         and _has_training_key(path, key)
     ]

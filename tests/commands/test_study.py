@@ -32,7 +32,7 @@ def run(outputs: Path, date: str, overrides: list[str], *files: str) -> Path:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).touch()
     if FINAL in files:
-        write_final_record(folder, score=None)
+        write_final_record(folder, max_epochs=config.trainer.max_epochs)
     config.paths.run = str(folder)
     OmegaConf.save(config, folder / COMPOSED)
     return folder
@@ -46,7 +46,8 @@ def called(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     def record(name: str, arguments: list[str]) -> None:
         lines.append(" ".join([name, *arguments]))
         if arguments[0].startswith("resume="):
-            write_final_record(Path(arguments[0].removeprefix("resume=")), score=None)
+            epochs = training_config("chair_unet", OVERRIDES).trainer.max_epochs
+            write_final_record(Path(arguments[0].removeprefix("resume=")), max_epochs=epochs)
         else:
             run(tmp_path, "new", arguments[1:], *DONE, "checkpoints/best.ckpt")
 
@@ -126,6 +127,14 @@ def test_an_unfinished_run_is_resumed(tmp_path: Path, called: list[str]) -> None
 def test_tables_alone_do_not_finish_a_run(tmp_path: Path, called: list[str]) -> None:
     """As of a run that was killed while it wrote its results."""
     folder = run(tmp_path, "1", OVERRIDES, "checkpoints/last.ckpt", "tables/mapping.csv")
+    train_or_reuse("chair_unet", OVERRIDES, tmp_path)
+    assert called == [f"train resume={folder}"]
+
+
+def test_a_run_that_was_shortened_does_not_count(tmp_path: Path, called: list[str]) -> None:
+    """It was resumed with a smaller trainer.max_epochs, which is not in its composed config."""
+    folder = run(tmp_path, "1", OVERRIDES, *DONE)
+    write_final_record(folder, max_epochs=1)
     train_or_reuse("chair_unet", OVERRIDES, tmp_path)
     assert called == [f"train resume={folder}"]
 
