@@ -52,7 +52,8 @@ def newest_run(outputs: Path, config: DictConfig, finished: bool) -> Path | None
     key = training_key(config)
 
     def is_finished(folder: Path) -> bool:
-        return (read_final_record(folder) or {}).get("max_epochs") == config.trainer.max_epochs
+        record = read_final_record(folder) or {}
+        return bool(record.get("max_epochs") == config.trainer.max_epochs)
 
     folders = [
         path.parent
