@@ -33,7 +33,9 @@ def main(config: DictConfig) -> None:
     overrides = [text for text in HydraConfig.get().overrides.task if role(override_key(text)) != Role.COMMAND]
     training = [text for text in overrides if not is_evaluation_only(text)]
     evaluation = [f"study={config.compare}"]
-    evaluation += [text for text in overrides if is_evaluation_only(text) or override_group(text) == "paths"]
+    evaluation += [
+        text for text in overrides if is_evaluation_only(text) or override_group(text) in ("paths", "cache")
+    ]
     check_evaluation(config.experiments, training, evaluation)
     outputs = Path(config.paths.outputs)
     with logging_to(create_folder(outputs / "study", timestamp()) / "run.log"):

@@ -4,18 +4,19 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from imagination.config.compose import compose
 from imagination.config.key_roles import Role, role
 from imagination.config.overrides import override_group, override_key, result_overrides
 from imagination.runs.command import run_command
 from imagination.runs.folder import BEST, COMPOSED, LAST
-from imagination.runs.resume import PROGRAM
+from imagination.runs.resume import PROGRAM, load_composed_config
 from imagination.runs.sweep_jobs import config_key
 from imagination.utils.cache import code_version
 
 log = logging.getLogger(__name__)
+
 
 def is_evaluation_only(override: str) -> bool:
     """Return whether only the evaluation reads the key of an override."""
@@ -63,7 +64,7 @@ def train_or_reuse(experiment: str, overrides: Sequence[str], outputs: Path) -> 
     if (folder := newest_run(outputs, config, finished=True)) is not None:
         log.info("%s: already trained, %s", experiment, folder)
     elif (folder := newest_run(outputs, config, finished=False)) is not None:
-        paths = [text for text in overrides if override_group(text) == "paths"]
+        paths = [text for text in overrides if override_group(text) in ("paths", "cache")]
         run_command("train", [f"ckpt_path={folder / LAST}", *paths])
     else:
         run_command("train", [f"experiment={experiment}", *overrides])
@@ -78,9 +79,8 @@ def _has_training_key(path: Path, key: str) -> bool:
     Such overrides would be inherited by the evaluation of the run's checkpoint.
     """
     try:
-        config = OmegaConf.load(path)
-        assert isinstance(config, DictConfig)
+        config = load_composed_config(path)
         return training_key(config) == key and not any(map(is_evaluation_only, config.choices))
-    except Exception as error:  # PyYAML raises errors of any type on malformed dates and numbers
+    except Exception as error:  # nodes may be missing or of another type
         log.warning("study: %s is damaged (%s); its run is ignored", path, error)
         return False

@@ -15,7 +15,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.key_roles import KEYS, Role, is_resumable, role
 from imagination.config.overrides import leaves, override_key, result_overrides
-from imagination.config.trust import check_targets
+from imagination.config.references import check_references
+from imagination.config.trust import check_paths, check_targets
 from imagination.config.user_messages import explain
 from imagination.config.validation import validate
 from imagination.runs.distributed import exit_with_parent, is_process_lost, share_run_folder
@@ -23,6 +24,8 @@ from imagination.runs.folder import (
     COMPOSED,
     CONFIG,
     LAST,
+    LOG,
+    check_links,
     create_folder,
     find_latest,
     point_latest,
@@ -37,6 +40,7 @@ from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError, WorkerDiedError
 from imagination.utils.process_group import global_rank
 from imagination.utils.progress import console
+from imagination.utils.tabular import read_yaml
 
 log = logging.getLogger(__name__)
 
@@ -84,8 +88,9 @@ def open_run(config: DictConfig) -> Iterator[Run]:
             raise
         return
     folder = existing_run_folder(config) if resume_requested else new_run_folder(config)
+    check_links(folder)
     share_run_folder(folder)
-    with locked(folder), logging_to(folder / "run.log"):
+    with locked(folder), logging_to(folder / LOG):
         if resume_requested:
             check_changes(folder, config)
         resuming = resume_requested or (folder / COMPOSED).is_file()  # unfinished job of a sweep
@@ -170,6 +175,10 @@ def begin_run(folder: Path, config: DictConfig) -> Run:
     config.paths.run = str(folder)
     config.choices = result_overrides(HydraConfig.get().overrides.task)
     config.program = code_version(PROGRAM)
+    try:
+        check_targets(config)
+    except UserError as error:
+        log.warning("%s. This run can be trained, but not resumed", error)
     write_text(folder / COMPOSED, OmegaConf.to_yaml(config) + END)
     write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
     return Run(folder, config, None, None if in_sweep() else point_latest(folder))
@@ -223,7 +232,7 @@ def check_changes(folder: Path, config: DictConfig) -> None:
 
 
 def resume_run(folder: Path, config: DictConfig) -> Run:
-    """Return the run in `folder` with its saved config and the allowed changes.
+    """Return the run in `folder` with its saved config, the allowed changes, and the paths and cache of the command.
 
     Raises:
         UserError: if the run belongs to another experiment, or its config cannot be read.
@@ -235,10 +244,17 @@ def resume_run(folder: Path, config: DictConfig) -> Run:
         )
     overrides = HydraConfig.get().overrides.task
     for key in filter(is_resumable, map(override_key, overrides)):
-        if role(key) != Role.COMMAND:
+        if role(key) not in (Role.COMMAND, Role.LOCATION):
             keep_references(saved, key)
             OmegaConf.update(saved, key, OmegaConf.select(config, key))
-    saved.paths.run = str(folder)
+    config.paths.run = str(folder)
+    if saved.paths.cache != config.paths.cache:
+        log.warning(
+            "paths.cache: got %s, not the %s of the saved config", config.paths.cache, saved.paths.cache
+        )
+    # a file does not choose where to write
+    saved.paths, saved.cache = OmegaConf.merge(saved.paths, config.paths), config.cache
+    check_paths(saved, config)
     if OmegaConf.select(saved, "program") != code_version(PROGRAM):
         log.warning("%s: the program has changed since the start of this run", folder)
     checkpoint = Path(config.ckpt_path) if config.ckpt_path else folder / LAST
@@ -266,21 +282,27 @@ def read_composed_config(path: Path) -> DictConfig:
     Raises:
         UserError: if the file is damaged or holds invalid values or untrusted targets.
     """
+    saved = load_composed_config(path)
     try:
-        text = path.read_text()
-        if not text.endswith(END):
-            raise UserError(
-                f"config {path}: is truncated, expected the last line {END.strip()!r}; start a new run"
-            )
-        saved = OmegaConf.create(text)
-        assert isinstance(saved, DictConfig)
-        OmegaConf.set_struct(saved, True)
-        validate(saved)
         check_targets(saved)
+        validate(saved)
     except UserError:
         raise
-    except Exception as error:  # PyYAML raises errors of any type on malformed dates and numbers
+    except Exception as error:  # validation accesses nodes that may be missing or of another type
         raise UserError(f"config {path}: is truncated or damaged ({error}); start a new run") from error
+    return saved
+
+
+def load_composed_config(path: Path) -> DictConfig:
+    """Load the composed config of a run, which nothing may be instantiated from before it is checked.
+
+    Raises:
+        UserError: if the file is damaged, or too large with its references replaced.
+    """
+    values = read_yaml(path, last_line=END)
+    check_references(values)
+    saved = OmegaConf.create(values)
+    OmegaConf.set_struct(saved, True)
     return saved
 
 

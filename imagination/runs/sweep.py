@@ -25,7 +25,7 @@ from imagination.config.plugin_registry import activate
 from imagination.config.user_messages import explain, user_errors_reported
 from imagination.config.validation import validate
 from imagination.runs import sweep_jobs
-from imagination.runs.folder import resolved_path
+from imagination.runs.folder import check_links, resolved_path
 from imagination.runs.locking import BusyError, locked
 from imagination.utils.errors import UserError
 from imagination.utils.timing import stage_timer
@@ -39,6 +39,8 @@ class Sweep(Callback):
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Register all jobs before the first one starts; a hyperparameter search registers each job when it starts."""
+        with user_errors_reported():
+            check_links(Path(config.hydra.sweep.dir))
         if config.hydra.sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
             with user_errors_reported():
                 register_jobs(config.hydra, str(kwargs["config_name"]))
