@@ -16,9 +16,10 @@ from omegaconf import DictConfig, OmegaConf
 from imagination.config.key_roles import KEYS, Role, is_resumable, role
 from imagination.config.overrides import leaves, override_key, result_overrides
 from imagination.config.references import check_references
-from imagination.config.trust import check_paths, check_targets
+from imagination.config.trust import check_targets
 from imagination.config.user_messages import explain
 from imagination.config.validation import validate
+from imagination.config.written_paths import check_paths
 from imagination.runs.distributed import exit_with_parent, is_process_lost, share_run_folder
 from imagination.runs.folder import (
     COMPOSED,

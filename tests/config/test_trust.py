@@ -8,7 +8,8 @@ import pytest
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.compose import compose
-from imagination.config.trust import check_paths, check_targets
+from imagination.config.trust import check_targets
+from imagination.config.written_paths import check_paths
 from imagination.utils.errors import UserError
 from tests.conftest import ROOT
 
