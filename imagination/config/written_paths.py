@@ -22,6 +22,9 @@ WRITERS = ("trainer", "callbacks", "logger")
 WRITTEN = ("data.module.shard_cache",)
 """Further values that are paths to which files are written."""
 
+FETCHED = ("data.shards", "data.module.shards")
+"""Values that may be URLs: what lies there decides which files litdata writes."""
+
 PATH_NAME = re.compile(r"(.*_)?(dir|dirs|dirpath|path|paths|folder|file|root|location|uri)(_.*)?")
 """Pattern of the names of arguments that are paths."""
 
@@ -48,7 +51,7 @@ def check_paths(config: DictConfig, command: DictConfig) -> None:
         if not (inside or _is_installed(place, config, installed) or text in _texts(_at(command, place))):
             raise UserError(
                 f"{place}: got {text!r}, expected a path in the run folder or in paths.cache; "
-                f"if you trust it, repeat {place}=… on the command line"
+                f"if you trust it, repeat the overrides that set {place}"
             )
 
 
@@ -62,13 +65,18 @@ def _is_installed(place: str, config: DictConfig, installed: set[tuple[str, str]
 
 
 def _written(values: Any) -> Iterator[tuple[str, str]]:
-    """Yield the places and texts of the paths in plain values to which files are written."""
+    """Yield the places and texts of the paths and URLs in plain values that decide where files are written."""
     for parent, node in nodes(values):
         for key, child in children(node):
             place = f"{parent}.{key}"
             for text in _texts(child):
                 writer = place.partition(".")[0] in WRITERS
-                if place in WRITTEN or (writer and (PATH_VALUE.fullmatch(text) or _is_path(node, key))):
+                fetched = place in FETCHED and "://" in text
+                if (
+                    place in WRITTEN
+                    or fetched
+                    or (writer and (PATH_VALUE.fullmatch(text) or _is_path(node, key)))
+                ):
                     yield place, text
 
 

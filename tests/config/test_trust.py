@@ -30,7 +30,7 @@ def test_our_own_targets_are_trusted(experiment: str) -> None:
 @pytest.mark.parametrize(
     "overrides",
     [
-        ("data=shards", "data.shards=s3://bucket/views"),
+        ("data=shards", "data.shards=/data/views"),
         ("data/scenes=hm3d",),  # its layout is an object inside that of the scene source
         ("data/furniture=sweethome3d",),
         ("model=projected", "model/backbone=fpn", "model/loss=bce_dice", "mapping/registration=mean"),
@@ -129,6 +129,8 @@ def test_special_keys_are_refused(place: str, key: str) -> None:
         ("logger.tensorboard.tracking_uri", "file:/elsewhere"),
         ("logger.mlflow", {"tracking_uri": "${name}/mlflow"}),
         ("logger.tensorboard.tags", ["s3://elsewhere/bucket"]),
+        ("data.shards", "s3://elsewhere/views"),
+        ("data.module.shards", "local:///elsewhere"),
         ("data.module.shard_cache", "elsewhere"),
         ("data.module.shard_cache", "${paths.cache}/../elsewhere"),
         ("logger.tensorboard.save_dir", "a\0b"),
