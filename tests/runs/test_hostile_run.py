@@ -15,8 +15,8 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from imagination.callbacks.model_checkpoint import MovableCheckpoint
-from imagination.config.compose import register_plugins
 from imagination.config.plugin_registry import core_conf
+from imagination.config.search_path import register_plugins
 from imagination.runs.finished_trainings import newest_run
 from imagination.runs.folder import COMPOSED, LOG, check_links
 from imagination.runs.resume import END, open_run
