@@ -16,6 +16,7 @@ from imagination.utils.errors import UserError, check_choice, check_range
 
 if TYPE_CHECKING:
     from imagination.deployment.export import Check
+    from imagination.runs.checkpoint import Checkpoint
 
 log = logging.getLogger(__name__)
 
@@ -55,9 +56,7 @@ def main(config: DictConfig) -> None:
     if file.suffix != SUFFIXES[config.format]:
         raise UserError(f"file: got {file}, expected a file name with the suffix {SUFFIXES[config.format]}")
     reference = UnitEnsemble([CheckpointModule(Path(path)) for path in paths])
-    run = checkpoints[0].config.copy()  # the cached config of the checkpoint is not changed
-    run.cache.folder = config.paths.cache
-    run.unit_categories = [name for checkpoint in checkpoints for name in checkpoint.config.unit_categories]
+    run = views_config(config, checkpoints)
     samples = export.sample_views(run, "val", config.views)
     calibration = (
         export.sample_views(run, "train", CALIBRATION_VIEWS) if config.precision == "int8" else samples
@@ -68,6 +67,15 @@ def main(config: DictConfig) -> None:
         check_accuracy(config, file, comparison, run.unit_categories)
     size = file.stat().st_size / 1e6
     log.info("%s, %.1f MB, on %d views: %s", file, size, len(samples), describe(comparison))
+
+
+def views_config(config: DictConfig, checkpoints: Sequence[Checkpoint]) -> DictConfig:
+    """Return the config of the views: that of the checkpoints' runs, with the paths and the cache of this command."""
+    from imagination.evaluation.checkpoint_config import evaluation_config
+
+    run = evaluation_config(checkpoints, [])
+    run.paths, run.cache = config.paths, config.cache
+    return run
 
 
 def check_accuracy(config: DictConfig, file: Path, comparison: Check, categories: Sequence[str]) -> None:

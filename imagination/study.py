@@ -39,7 +39,9 @@ def main(config: DictConfig) -> None:
     ]
     training = [text for text in overrides if not is_evaluation_only(text)]
     evaluation = [f"study={config.compare}"]
-    evaluation += [text for text in overrides if is_evaluation_only(text) or override_group(text) == "paths"]
+    evaluation += [
+        text for text in overrides if is_evaluation_only(text) or override_group(text) in ("paths", "cache")
+    ]
     check_evaluation(config.experiments, training, evaluation)
     outputs = Path(config.paths.outputs)
     folder = new_run_folder(config, continues=True)

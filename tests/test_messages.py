@@ -50,7 +50,9 @@ CASES: dict[str, Callable[[Path], object]] = {
     "no run to resume": lambda folder: find_latest(folder, "chair_unet"),
     "run in use": busy,
     "no such checkpoint": lambda folder: Checkpoint.read(folder / "best.ckpt"),
-    "hostile config": lambda folder: check_targets(OmegaConf.create({"a": {"_target_": "os.system"}})),
+    "hostile config": lambda folder: check_targets(
+        OmegaConf.create({"model": {"optimizer": {"_target_": "os.system"}}})
+    ),
     "disk is full": full_disk,
     "missing extra": lambda folder: require_extra("no_such_package", "onnx"),
     "grid too large": lambda folder: cells_of(10_000.0, 0.005),

@@ -14,7 +14,8 @@ class MovableCheckpoint(ModelCheckpoint):
     """Lightning's ModelCheckpoint for run folders that may be moved.
 
     Its state holds absolute paths, and Lightning drops the best score if the folder differs when a run resumes. This
-    state holds file names only.
+    state holds file names only. Files that are removed for better ones are in its folder, whatever the state in a
+    checkpoint names.
     """
 
     def state_dict(self) -> dict[str, Any]:
@@ -24,8 +25,8 @@ class MovableCheckpoint(ModelCheckpoint):
         return {**state, **names, "best_k_models": best, "dirpath": ""}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        def path_of(name: str) -> str:
-            return str(Path(str(self.dirpath)) / name) if name else name
+        def path_of(name: str) -> str:  # a file of this folder, whatever the checkpoint holds
+            return str(Path(str(self.dirpath)) / Path(name).name) if Path(name).name.strip(".") else ""
 
         paths = {key: path_of(state_dict[key]) for key in PATHS}
         best = {path_of(name): score for name, score in state_dict["best_k_models"].items()}

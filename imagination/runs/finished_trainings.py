@@ -13,7 +13,7 @@ from imagination.models.task_kind import TaskKind
 from imagination.runs.command import run_command
 from imagination.runs.final_record import read_final_record
 from imagination.runs.folder import BEST, COMPOSED, LAST
-from imagination.runs.resume import PROGRAM
+from imagination.runs.resume import PROGRAM, load_composed_config
 from imagination.runs.sweep_jobs import config_key
 from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError
@@ -73,7 +73,7 @@ def train_or_reuse(experiment: str, overrides: Sequence[str], outputs: Path) -> 
         log.info("%s: already trained, %s", experiment, folder)
     else:
         if (unfinished := newest_run(outputs, config, finished=False)) is not None:
-            paths = [text for text in overrides if override_group(text) == "paths"]
+            paths = [text for text in overrides if override_group(text) in ("paths", "cache")]
             run_command("train", [assignment("resume", str(unfinished)), *paths])
         else:
             run_command("train", [f"experiment={experiment}", *overrides])
@@ -92,9 +92,8 @@ def _has_training_key(path: Path, key: str) -> bool:
     Such overrides would be inherited by the evaluation of the run's checkpoint.
     """
     try:
-        config = OmegaConf.load(path)
-        assert isinstance(config, DictConfig)
+        config = load_composed_config(path)
         return training_key(config) == key and not any(map(is_evaluation_only, config.choices))
-    except Exception as error:  # PyYAML raises errors of any type on malformed dates and numbers
+    except Exception as error:  # nodes may be missing or of another type
         log.warning("study: %s is damaged (%s); its run is ignored", path, error)
         return False

@@ -2,6 +2,7 @@
 
 import os
 import re
+import stat
 from contextlib import suppress
 from datetime import datetime
 from itertools import count
@@ -15,6 +16,9 @@ CONFIG = "config.yaml"
 
 COMPOSED = "composed.yaml"
 """File name of the config with its interpolations, from which a run resumes (its folder may have been moved)."""
+
+LOG = "run.log"
+"""File name of the messages of a run, to which a resumed run appends."""
 
 LAST = Path("checkpoints") / "last.ckpt"
 """Path of the newest checkpoint in a run folder."""
@@ -38,6 +42,29 @@ def create_folder(parent: Path, name: str) -> Path:
                 continue
             return folder
     raise AssertionError("unreachable: count() is infinite")
+
+
+def check_links(folder: Path) -> None:
+    """Check that a folder holds only files and folders, and no links out of it, so that all is written inside.
+
+    Raises:
+        UserError: if there is a link to another place, or anything else, such as a FIFO, which would block.
+    """
+    root = os.path.realpath(folder)
+    for parent, folders, files in os.walk(root):
+        for path in (Path(parent) / name for name in (*folders, *files)):
+            status = path.lstat()
+            if stat.S_ISLNK(status.st_mode):
+                inside = Path(os.path.realpath(path)).is_relative_to(root)
+            elif stat.S_ISREG(status.st_mode):
+                inside = path.name != LOG or status.st_nlink == 1
+            else:
+                inside = stat.S_ISDIR(status.st_mode)
+            if not inside:
+                raise UserError(
+                    f"run {folder}: got {path}, which leads out of the folder or is no file, expected files and "
+                    "folders; replace it by what it links to, or remove it"
+                )
 
 
 def point_latest(folder: Path, parent: Path | None = None) -> Path | None:

@@ -15,10 +15,12 @@ from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.key_roles import KEYS, Role, is_resumable, role
 from imagination.config.overrides import assignment, leaves, override_key, result_overrides
+from imagination.config.references import check_references
 from imagination.config.trust import check_targets
 from imagination.config.unknown_keys import is_group
 from imagination.config.user_messages import explain
 from imagination.config.validation import validate
+from imagination.config.written_paths import check_paths
 from imagination.runs.command_line import command_line
 from imagination.runs.distributed import exit_with_parent, is_process_lost, share_run_folder
 from imagination.runs.final_record import remove_final_record
@@ -26,6 +28,8 @@ from imagination.runs.folder import (
     COMPOSED,
     CONFIG,
     LAST,
+    LOG,
+    check_links,
     find_latest,
     point_latest,
     resolved_path,
@@ -45,6 +49,7 @@ from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError, WorkerDiedError
 from imagination.utils.process_group import global_rank
 from imagination.utils.progress import console
+from imagination.utils.tabular import read_yaml
 
 log = logging.getLogger(__name__)
 
@@ -92,8 +97,9 @@ def open_run(config: DictConfig) -> Iterator[Run]:
             raise
         return
     folder = existing_run_folder(config) if resume_requested else create_run_folder(config)
+    check_links(folder)
     share_run_folder(folder)
-    with locked(folder), logging_to(folder / "run.log"), interruption_reported(folder):
+    with locked(folder), logging_to(folder / LOG), interruption_reported(folder):
         if resume_requested:
             check_changes(folder, config)
         elif not in_sweep():
@@ -210,6 +216,10 @@ def begin_run(folder: Path, config: DictConfig) -> Run:
     config.paths.run = str(folder)
     config.choices = result_overrides(HydraConfig.get().overrides.task)
     config.program = code_version(PROGRAM)
+    try:
+        check_targets(config)
+    except UserError as error:
+        log.warning("%s. This run can be trained, but not resumed", error)
     write_text(folder / COMPOSED, OmegaConf.to_yaml(config) + END)
     write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
     if in_sweep():
@@ -272,7 +282,7 @@ def check_changes(folder: Path, config: DictConfig) -> None:
 
 
 def resume_run(folder: Path, config: DictConfig) -> Run:
-    """Return the run in `folder` with its saved config and the allowed changes.
+    """Return the run in `folder` with its saved config, the allowed changes, and the paths and cache of the command.
 
     Raises:
         UserError: if the run belongs to another experiment, or its config cannot be read.
@@ -284,10 +294,17 @@ def resume_run(folder: Path, config: DictConfig) -> Run:
         )
     overrides = HydraConfig.get().overrides.task
     for key in filter(is_resumable, map(override_key, overrides)):
-        if role(key) != Role.COMMAND:
+        if role(key) not in (Role.COMMAND, Role.LOCATION):
             keep_references(saved, key)
             OmegaConf.update(saved, key, OmegaConf.select(config, key))
-    saved.paths.run = str(folder)
+    config.paths.run = str(folder)
+    if saved.paths.cache != config.paths.cache:
+        log.warning(
+            "paths.cache: got %s, not the %s of the saved config", config.paths.cache, saved.paths.cache
+        )
+    # a file does not choose where to write
+    saved.paths, saved.cache = OmegaConf.merge(saved.paths, config.paths), config.cache
+    check_paths(saved, config)
     if OmegaConf.select(saved, "program") != code_version(PROGRAM):
         log.warning("%s: the program has changed since the start of this run", folder)
     checkpoint = Path(config.ckpt_path) if config.ckpt_path else folder / LAST
@@ -316,19 +333,25 @@ def read_composed_config(path: Path) -> DictConfig:
     Raises:
         UserError: if the file is damaged or holds invalid values or untrusted targets.
     """
+    saved = load_composed_config(path)
     try:
-        text = path.read_text()
-        if not text.endswith(END):
-            raise UserError(
-                f"config {path}: is truncated, expected the last line {END.strip()!r}; start a new run"
-            )
-        saved = OmegaConf.create(text)
-        assert isinstance(saved, DictConfig)
-        OmegaConf.set_struct(saved, True)
-        validate(saved)
         check_targets(saved)
+        validate(saved)
     except UserError:
         raise
-    except Exception as error:  # PyYAML raises errors of any type on malformed dates and numbers
+    except Exception as error:  # validation accesses nodes that may be missing or of another type
         raise UserError(f"config {path}: is truncated or damaged ({error}); start a new run") from error
+    return saved
+
+
+def load_composed_config(path: Path) -> DictConfig:
+    """Load the composed config of a run, which nothing may be instantiated from before it is checked.
+
+    Raises:
+        UserError: if the file is damaged, or too large with its references replaced.
+    """
+    values = read_yaml(path, last_line=END)
+    check_references(values)
+    saved = OmegaConf.create(values)
+    OmegaConf.set_struct(saved, True)
     return saved

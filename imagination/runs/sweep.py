@@ -28,7 +28,7 @@ from imagination.config.validation import validate
 from imagination.runs import sweep_jobs
 from imagination.runs.command_line import command_line, own_arguments
 from imagination.runs.final_record import read_final_record
-from imagination.runs.folder import COMPOSED, create_folder
+from imagination.runs.folder import COMPOSED, check_links, create_folder
 from imagination.runs.locking import BusyError, locked
 from imagination.utils import interrupts
 from imagination.utils.errors import UserError
@@ -58,6 +58,7 @@ class Sweep(Callback):
         with user_errors_reported():
             jobs = [] if search else expand_jobs(config.hydra, str(kwargs["config_name"]))
             folder = sweep_folder(config, {job.name for job in jobs})
+            check_links(folder)
             config.hydra.sweep.dir = str(folder)
             # Hydra composes the config of each job from these overrides
             config.hydra.overrides.hydra.append(assignment(FOLDER_KEY, str(folder)))

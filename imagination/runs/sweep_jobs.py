@@ -25,7 +25,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from imagination.config.key_roles import Role, role
 from imagination.runs.locking import BusyError, locked
-from imagination.utils.atomic_io import PART, write_text
+from imagination.utils.atomic_io import PART, is_part, write_text
 from imagination.utils.errors import UserError
 from imagination.utils.file_lock import locked_file
 from imagination.utils.tabular import csv_text, read_csv
@@ -127,7 +127,7 @@ def _table_locked(sweep: Path) -> Iterator[None]:
     """Hold an exclusive lock on the table, which other processes may change as well."""
     sweep.mkdir(parents=True, exist_ok=True)
     with locked_file(sweep / ".jobs.lock"):
-        for scratch in sweep.glob(f".{FILE}.*{PART}"):  # left by a killed process
+        for scratch in filter(is_part, sweep.glob(f".{FILE}.*{PART}")):  # left by a killed process
             shutil.rmtree(scratch)
         yield
 

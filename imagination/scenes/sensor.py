@@ -1,14 +1,19 @@
 """Sensor models, which turn rendered images into sensor images."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from imagination.scenes.renderer import Image
 
-Sensor = Callable[[Image, np.random.Generator], Image]
-"""Function from a rendered image to the image of the robot's sensor."""
+
+@runtime_checkable
+class Sensor(Protocol):
+    """Model of the robot's sensor."""
+
+    def __call__(self, image: Image, rng: np.random.Generator) -> Image:
+        """Return the image of the sensor from a rendered image."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Atomic writing of files: completely or not at all."""
 
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -16,6 +17,8 @@ from imagination.utils.file_lock import lock
 PART = ".part"
 """Suffix of temporary folders."""
 
+PART_NAME = re.compile(rf"\.(?P<target>.+)\.\w+{re.escape(PART)}")
+"""Pattern of the names of temporary folders."""
 
 STALE_SECONDS = 60.0
 """Age above which a temporary folder that no process holds was left by a process that was killed."""
@@ -84,15 +87,25 @@ def _scratch_folder(path: Path) -> Iterator[Path]:
         os.close(descriptor)
 
 
-def remove_stale_parts(parts: Iterable[Path]) -> None:
+def is_part(path: Path) -> bool:
+    """Return whether a path is a temporary folder of `replacing`: no link, and with nothing in it but the target."""
+    name = PART_NAME.fullmatch(path.name)
+    if name is None or path.is_symlink() or not path.is_dir():
+        return False
+    return all(entry == name["target"] or is_part(path / entry) for entry in os.listdir(path))
+
+
+def remove_stale_parts(paths: Iterable[Path]) -> None:
     """Remove temporary folders that were left by killed processes; those of running processes are kept.
 
     Args:
-        parts: temporary folders, whose names end with `PART`.
+        paths: candidates; those that are no temporary folders are kept.
     """
-    for scratch in parts:
+    for scratch in paths:
         with suppress(OSError):  # removed or locked by another process, or not allowed
-            descriptor = os.open(scratch, os.O_RDONLY)
+            if not is_part(scratch):
+                continue
+            descriptor = os.open(scratch, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
                 lock(descriptor, wait=False)
                 # a new folder may not be locked yet
@@ -105,7 +118,8 @@ def remove_stale_parts(parts: Iterable[Path]) -> None:
 def remove_parts(folder: Path) -> None:
     """Remove incomplete files of a killed process from a run folder, which the caller has locked."""
     for scratch in list(folder.rglob(f".*{PART}")):
-        shutil.rmtree(scratch)
+        if is_part(scratch):
+            shutil.rmtree(scratch)
 
 
 def write_text(path: Path, text: str) -> None:

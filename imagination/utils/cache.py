@@ -4,6 +4,9 @@ File format: a magic line, the SHA-256 of the rest, the length of a JSON header,
 stored size of each array) and the bytes of the arrays. Boolean arrays are packed to bits. All types except uint8 are
 compressed: colour images would shrink by a factor of 2.3, but compression takes 13 % of their rendering time; depth
 shrinks by a factor of 13 for 2 %. An entry whose checksum does not match is rebuilt. No content is ever executed.
+
+A cache removes only what a cache has written: regular files whose name is a hash and whose content begins with the
+magic line, and the temporary folders of such files. It follows no links.
 """
 
 import functools
@@ -11,6 +14,8 @@ import hashlib
 import json
 import logging
 import os
+import re
+import stat
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -38,6 +43,12 @@ DIGEST = hashlib.sha256().digest_size
 ENTRY = ".bin"
 """Suffix of entries."""
 
+ENTRY_NAME = re.compile(rf"[0-9a-f]{{64}}{re.escape(ENTRY)}")
+"""Pattern of the file names of entries: a SHA-256 and the suffix."""
+
+ENTRY_PART = re.compile(rf"\.{ENTRY_NAME.pattern}\.\w+{re.escape(PART)}")
+"""Pattern of the names of temporary folders of entries."""
+
 BUILDERS = ("geometry", "scenes", "ground_truth", "views", "data", "evaluation")
 """Packages whose code builds the entries: a change of the code changes all keys, so no entry is outdated."""
 
@@ -62,7 +73,7 @@ class Cache:
 
     def __post_init__(self) -> None:
         check_range("cache.max_gigabytes", self.max_gigabytes, 0.0, 1_000_000.0, "GB", open_low=True)
-        remove_stale_parts(Path(self.folder).glob(f"*/.*{PART}"))
+        remove_stale_parts(Path(item.path) for item in self._items() if ENTRY_PART.fullmatch(item.name))
 
     def get_or_build(self, kind: str, key: Mapping[str, Any], build: Callable[[], Arrays]) -> Arrays:
         """Load the entry of a key; build and store it if it is missing or damaged.
@@ -89,7 +100,7 @@ class Cache:
         """
         path = self.path(kind, key)
         try:
-            arrays = decode(path.read_bytes())
+            arrays = decode(_read(path))
         except FileNotFoundError:
             return None
         except OSError as error:
@@ -130,19 +141,47 @@ class Cache:
     def _evict(self, newest: Path) -> None:
         """Remove the least recently used entries, but never the newest, until the size is below the limit."""
         entries = []
-        for kind in os.scandir(self.folder):
-            for file in os.scandir(kind) if kind.is_dir() else ():
-                with suppress(FileNotFoundError):  # removed by another process
-                    status = file.stat()
-                    if file.name.endswith(ENTRY):
-                        entries.append((status.st_mtime_ns, status.st_size, file.path))
+        for item in self._items():
+            with suppress(FileNotFoundError):  # removed by another process
+                if ENTRY_NAME.fullmatch(item.name) and item.is_file(follow_symlinks=False):
+                    status = item.stat(follow_symlinks=False)
+                    entries.append((status.st_mtime_ns, status.st_size, item.path))
         total = sum(size for _, size, _ in entries)
         for _, size, path in sorted(entries):
             if total <= self.max_gigabytes * 1e9:
                 return
-            if path != str(newest):
+            if path != str(newest) and _is_entry(path):
                 Path(path).unlink(missing_ok=True)
                 total -= size
+
+    def _items(self) -> Iterator[os.DirEntry[str]]:
+        """Yield what the subfolders contain, except for links to folders and for folders that cannot be read."""
+        with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+            for kind in os.scandir(self.folder):
+                if kind.is_dir(follow_symlinks=False):
+                    with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+                        yield from os.scandir(kind)
+
+
+def _is_entry(path: str) -> bool:
+    """Return whether a path is a regular file, and no link, that begins as `encode` begins it."""
+    with suppress(OSError):
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        with open(descriptor, "rb") as file:
+            return stat.S_ISREG(os.fstat(descriptor).st_mode) and file.read(len(MAGIC)) == MAGIC
+    return False
+
+
+def _read(path: Path) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        DamagedError: if the path is a FIFO or a device, which could block or never end.
+    """
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise DamagedError("it is not a regular file")
+        return file.read()
 
 
 @functools.cache

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import stat
 from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,14 +11,27 @@ import yaml
 
 from imagination.utils.errors import UserError
 
+MAX_BYTES = 2**19
+"""Largest size of a YAML file."""
+
+MAX_DEPTH = 40
+"""Largest depth of nested lists and mappings in a YAML file."""
+
 
 class PlainLoader(yaml.SafeLoader):
-    """YAML loader that refuses references, since a few lines of them can expand to any amount of data."""
+    """YAML loader that refuses references, a few lines of which can expand to any amount of data, and deep nesting."""
+
+    depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("got a reference (*), expected plain values")
-        return super().compose_node(parent, index)
+        if self.depth == MAX_DEPTH:
+            raise yaml.YAMLError(f"got more than {MAX_DEPTH} nested lists and mappings, expected fewer")
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         mapping = super().construct_mapping(node, deep)
@@ -26,18 +40,22 @@ class PlainLoader(yaml.SafeLoader):
         return mapping
 
 
-def read_yaml(path: Path, expected: str = "keys and values") -> dict[str, Any]:
-    """Read keys and values from a YAML file.
+def read_yaml(path: Path, expected: str = "keys and values", last_line: str = "") -> dict[str, Any]:
+    """Read keys and values from a YAML file of limited size and depth, without references.
 
     Args:
         path: path of the file.
         expected: description of the keys for the error message.
+        last_line: last line of a file that is not truncated.
 
     Raises:
-        UserError: if the file is missing, damaged or holds no mapping.
+        UserError: if the file is missing, damaged or too large, or holds no mapping.
     """
     try:
-        values = yaml.load(path.read_text(), PlainLoader)  # noqa: S506  (a safe loader)
+        text = _read_text(path)
+        if not text.endswith(last_line):
+            raise yaml.YAMLError(f"it is truncated, expected the last line {last_line.strip()!r}")
+        values = yaml.load(text, PlainLoader)  # noqa: S506  (a safe loader)
     except FileNotFoundError as error:
         raise UserError(f"{path}: there is no such file") from error
     except Exception as error:  # yaml raises any type of exception on malformed dates and numbers
@@ -45,6 +63,16 @@ def read_yaml(path: Path, expected: str = "keys and values") -> dict[str, Any]:
     if not isinstance(values, dict):
         raise UserError(f"{path}: got {type(values).__name__}, expected {expected}")
     return values
+
+
+def _read_text(path: Path) -> str:
+    if not stat.S_ISREG(path.stat().st_mode):  # reading a FIFO would block
+        raise yaml.YAMLError("it is not a regular file")
+    with open(path, "rb") as file:
+        content = file.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        raise yaml.YAMLError(f"got more than {MAX_BYTES} bytes, expected fewer")
+    return content.decode()
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:

@@ -7,6 +7,7 @@ by any number of workers in any order; finished collections are cached.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -23,7 +24,12 @@ Views = dict[str, np.ndarray]
 """Stacked views, compact: rgb and categories uint8, depth float16, occupied, seen and object bool, pose float64."""
 
 
-PoseSampler = Callable[[Scene, int, np.random.Generator], list[Pose]]
+@runtime_checkable
+class PoseSampler(Protocol):
+    """Sampler of poses in the free space of a scene."""
+
+    def __call__(self, scene: Scene, count: int, rng: np.random.Generator) -> list[Pose]:
+        """Return `count` poses."""
 
 
 def stack(views: Sequence[View]) -> Views:

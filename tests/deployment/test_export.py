@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from imagination.config.compose import compose
 from imagination.deployment.export import MAX_IOU_LOSS, Sample, compare, export, sample_views
 from imagination.deployment.load import load
 from imagination.deployment.torch_backend import inputs
+from imagination.export import views_config
 from imagination.mapping.predictor import Observation
 from imagination.mapping.semantic_mapper import SemanticMapper
 from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters
@@ -28,6 +30,7 @@ from tests.conftest import ROOT, Command
 from tests.helpers.checkpoints import make_checkpoint, samples
 from tests.helpers.toy_units import CAMERA, EGO, Toy
 from tests.mapping.test_semantic_mapper import frames
+from tests.utils.test_cache import make_victim, snapshot
 
 
 @pytest.fixture(scope="module")
@@ -280,6 +283,25 @@ def test_mistakes_get_one_message(command: Command, arguments: list[str], messag
     done = command("export", *arguments)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert message in done.stderr
+
+
+@pytest.mark.parametrize("choices", [[], ["paths.cache={victim}", "cache.max_gigabytes=0.001"]])
+def test_a_checkpoint_chooses_no_cache(tmp_path: Path, choices: list[str]) -> None:
+    """Export renders into the cache of the command, and a mapper with the checkpoint needs no folder."""
+    victim, path = tmp_path / "victim", tmp_path / "chair.ckpt"
+    make_victim(victim)
+    state = torch.load(make_checkpoint(path), weights_only=True)
+    state[KEY]["choices"] += [choice.format(victim=victim) for choice in choices]
+    state[KEY]["values"]["cache"] = {"folder": str(victim), "max_gigabytes": 0.001}
+    state[KEY]["values"]["data"]["observer"]["cache"] = {"folder": str(victim), "max_gigabytes": 0.001}
+    torch.save(state, path)
+    before = snapshot(victim)
+    with suppress(UserError) if choices else nullcontext():
+        command = compose("export", [f"ckpt={path}", f"paths.outputs={tmp_path}/mine"])
+        assert len(sample_views(views_config(command, [Checkpoint.read(path)]), "val", 4)) == 4
+        assert list((tmp_path / "mine" / "cache").rglob("*.bin"))
+        load(path)
+    assert snapshot(victim) == before
 
 
 def overfit(checkpoint: Checkpoint, path: Path, views: list[Sample], steps: int) -> Checkpoint:

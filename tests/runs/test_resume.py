@@ -15,7 +15,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from imagination.callbacks.model_checkpoint import MovableCheckpoint
 from imagination.config.compose import compose
-from imagination.config.trust import check_targets
 from imagination.evaluation.checkpoint_config import evaluation_config
 from imagination.models.encoders import create
 from imagination.models.schedulers import CosineAnnealing
@@ -174,33 +173,6 @@ def test_a_checkpoint_of_another_model_is_refused(tmp_path: Path) -> None:
     path = checkpoint(tmp_path / "a.ckpt", {"choices": JOB, "values": values})
     with pytest.raises(UserError, match=r"a\.ckpt: .*weights.* [\w.]+: got \(\d.*?\), expected \(\d"):
         Checkpoint.read(path).model()
-
-
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_our_own_targets_are_trusted(experiment: str) -> None:
-    check_targets(compose("train", [f"+experiment={experiment}", "paths.run=."]))
-
-
-@pytest.mark.parametrize(
-    "target",
-    [
-        "os.system",
-        "imagination.utils.atomic_io.os.replace",
-        "imagination.utils.atomic_io.write_text",
-        "torch.load",
-        "lightning.fabric.utilities.cloud_io._load",
-        "no_such_package.Thing",
-    ],
-)
-def test_other_targets_are_refused(target: str) -> None:
-    with pytest.raises(UserError, match="_target_: got "):
-        check_targets(OmegaConf.create({"list": [{"_target_": target}]}))
-
-
-def test_a_hidden_target_is_refused() -> None:
-    hidden = OmegaConf.create({"model": "${oc.decode:'{_target_: os.system}'}"})
-    with pytest.raises(UserError, match="oc.decode"):
-        check_targets(hidden)
 
 
 def test_a_resumed_run_keeps_its_config(command: Command, tmp_path: Path) -> None:

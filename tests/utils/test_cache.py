@@ -32,6 +32,10 @@ ENTRY = {
 }
 
 
+NAME = "0a" * 32 + ".bin"
+"""File name of an entry."""
+
+
 def must_not_build() -> dict[str, np.ndarray]:
     raise AssertionError("the entry exists already")
 
@@ -226,7 +230,7 @@ import os, sys, time
 from pathlib import Path
 from imagination.utils import atomic_io
 atomic_io.os.replace = lambda *_: (print("writing", flush=True), time.sleep(600))
-with atomic_io.replacing(Path({str(tmp_path)!r}) / "views" / "x.bin", sync=False) as temporary:
+with atomic_io.replacing(Path({str(tmp_path)!r}) / "views" / "{NAME}", sync=False) as temporary:
     temporary.write_bytes(b"half")
 """
     (tmp_path / "views").mkdir()
@@ -239,7 +243,7 @@ with atomic_io.replacing(Path({str(tmp_path)!r}) / "views" / "x.bin", sync=False
         dead, alive = (next(iter(partial_files(tmp_path, writer))) for writer in writers)
         writers[0].kill()
         writers[0].wait()
-        fresh = tmp_path / "views" / ".fresh.part"  # new and not locked yet
+        fresh = tmp_path / "views" / f".{NAME}.fresh.part"  # new and not locked yet
         fresh.mkdir()
         for path in (dead, alive):
             os.utime(path, (time.time() - 3600,) * 2)
@@ -249,6 +253,73 @@ with atomic_io.replacing(Path({str(tmp_path)!r}) / "views" / "x.bin", sync=False
         for writer in writers:
             writer.send_signal(signal.SIGKILL)
             writer.wait()
+
+
+def snapshot(folder: Path) -> dict[str, object]:
+    """Return the content or kind of all that is in a folder."""
+    return {
+        str(path.relative_to(folder)): path.readlink() if path.is_symlink()
+        else path.read_bytes() if path.is_file() else path.stat().st_mode
+        for path in sorted(folder.rglob("*"))
+    }  # fmt: skip
+
+
+def make_victim(folder: Path) -> None:
+    """Write files of other programs, old and larger than the limit of a cache, with names like those of a cache."""
+    views = folder / "views"
+    views.mkdir(parents=True)
+    (folder / "model.bin").write_bytes(b"weights" * 50_000)
+    (views / "pytorch_model.bin").write_bytes(b"weights" * 50_000)
+    (views / NAME).write_bytes(b"weights" * 50_000)  # without the magic line
+    (views / f"{NAME}.bak").write_bytes(MAGIC * 50_000)
+    (views / ("0b" * 32 + ".bin")).mkdir()
+    (views / ("0b" * 32 + ".bin") / "kept.txt").write_text("kept")
+    os.mkfifo(views / ("0c" * 32 + ".bin"))
+    for name in (".download.part", f".{NAME}.abcdefgh.part"):
+        (views / name).mkdir()
+        (views / name / "kept.txt").write_text("kept")
+    for path in folder.rglob("*"):
+        os.utime(path, (time.time() - 3600,) * 2)
+
+
+def test_files_of_others_are_never_removed(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    make_victim(victim)
+    before = snapshot(victim)
+    cache = Cache(victim, max_gigabytes=0.00015)
+    fill(cache, *range(5))
+    assert stored(cache) == {4}
+    cache.path("views", {"number": 4}).unlink()
+    assert snapshot(victim) == before
+
+
+def test_nothing_is_removed_through_links(tmp_path: Path) -> None:
+    """A subfolder and an entry of the cache, and a temporary folder, are links to entries of another cache."""
+    other, linked = Cache(tmp_path / "other"), Cache(tmp_path / "linked", max_gigabytes=0.00015)
+    fill(other, *range(5))
+    (tmp_path / "other" / "views" / f".{NAME}.abcdefgh.part").mkdir()
+    for path in (tmp_path / "other").rglob("*"):
+        os.utime(path, (time.time() - 3600,) * 2)
+    before = snapshot(tmp_path / "other")
+    (tmp_path / "linked" / "views").mkdir(parents=True)
+    (tmp_path / "linked" / "more").symlink_to(tmp_path / "other" / "views")
+    (tmp_path / "linked" / "views" / NAME).symlink_to(other.path("views", {"number": 0}))
+    part = tmp_path / "linked" / "views" / f".{NAME}.abcdefgh.part"
+    part.symlink_to(tmp_path / "other" / "views" / part.name)
+    fill(Cache(tmp_path / "linked", max_gigabytes=0.00015), *range(10, 15))
+    assert snapshot(tmp_path / "other") == before
+    assert (
+        stored(linked) == {14} and (tmp_path / "linked" / "views" / NAME).is_symlink() and part.is_symlink()
+    )
+
+
+def test_a_fifo_in_place_of_an_entry_is_rebuilt(tmp_path: Path) -> None:
+    cache = Cache(tmp_path)
+    path = cache.path("views", KEY)
+    path.parent.mkdir()
+    os.mkfifo(path)
+    assert same(cache.get_or_build("views", KEY, lambda: ENTRY), ENTRY)
+    assert same(cache.get_or_build("views", KEY, must_not_build), ENTRY)
 
 
 def partial_files(folder: Path, writer: subprocess.Popen[str]) -> set[Path]:
