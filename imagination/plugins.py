@@ -6,6 +6,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from imagination.config import plugin_registry
+from imagination.config.contracts import check_plugin
 from imagination.runs.command import command
 from imagination.utils.errors import UserError
 
@@ -27,7 +28,7 @@ def main(config: DictConfig) -> None:
     plugins = plugin_registry.discover()
     for plugin in plugins:
         if config.check and not plugin.problem:
-            plugin.problem = plugin_registry.check(plugin)
+            plugin.problem = check_plugin(plugin)
         status = f"left out: {plugin.problem}" if plugin.problem else "adds " + ", ".join(plugin.options)
         print(f"{plugin.name}  ({plugin.origin})\n    {status}")
     if not plugins:

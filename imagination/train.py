@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
+from imagination.config.contracts import check_contracts
 from imagination.runs.command import command
 from imagination.runs.final_record import write_final_record
 from imagination.runs.folder import BEST
@@ -93,6 +94,7 @@ def build(run: Run) -> tuple[LitTask, SceneData, Trainer]:
     config = run.config
     check_accelerator(config.trainer.accelerator)
     check_processes(config)
+    check_contracts(config)
     first_step = read_state(run.checkpoint)["global_step"] if run.checkpoint else 0
     quiet_lightning()
     seed_everything(config.seed, verbose=False)

@@ -3,7 +3,6 @@
 `python -m imagination.plugins` lists them with the options they add; `check=true` also imports their code.
 """
 
-import importlib
 import logging
 import sys
 from collections.abc import Iterator, Mapping
@@ -97,22 +96,6 @@ def provided(group: str) -> Iterator[tuple[str, str, str]]:
                     path.stem,
                     plugin.name,
                 )
-
-
-def check(plugin: Plugin) -> str:
-    """Import the packages of a plugin and each `_target_` of its conf tree; return the problem, or an empty string."""
-    from hydra.utils import get_object
-
-    assert plugin.conf is not None
-    try:
-        for package in plugin.packages:
-            importlib.import_module(package)
-        for path in sorted(plugin.conf.rglob("*.yaml")):
-            for target in targets_of(yaml.safe_load(path.read_text())):
-                get_object(target)
-    except Exception as error:  # code of a plugin may raise any type of exception
-        return f"{type(error).__name__}: {error}"
-    return ""
 
 
 def _folders() -> Iterator[Plugin]:

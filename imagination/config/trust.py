@@ -37,6 +37,7 @@ ROLES: tuple[tuple[str, str], ...] = (
     ("model.module", "lightning.LightningModule"),
     ("model.unit", "imagination.models.unit.Unit"),
     ("model.unit.unit", "imagination.models.unit.Unit"),
+    ("model.collate", "imagination.data.collate.Collate"),
     ("model.encoder", "torch.nn.Module"),
     ("model.backbone", "torch.nn.Module"),
     ("model.network", "torch.nn.Module"),
@@ -91,7 +92,7 @@ def check_targets(config: DictConfig) -> None:
     named = {item for plugin in plugins for item in texts_of(plugin.conf)}
     for place, node in nodes(values):
         _check_special_keys(place, node)
-        if "_target_" in node and (f"{place}._target_", node["_target_"]) not in named:
+        if "_target_" in node and (f"{place}._target_", str(node["_target_"])) not in named:
             _check_role(place, str(node["_target_"]), packages)
 
 

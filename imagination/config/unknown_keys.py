@@ -74,7 +74,9 @@ def check_added_keys(config_name: str, overrides: Sequence[str]) -> None:
     if not added:
         return
     config = hydra.compose(config_name, [text for text in overrides if text not in added])
-    for key in map(override_key, added):
+    keys = [override_key(text) for text in added]
+    rows = tuple(key.removesuffix("_target_") for key in keys if key.endswith("._target_"))  # whole new nodes
+    for key in (key for key in keys if not key.startswith(rows) or key.endswith("._target_")):
         if OmegaConf.select(config, key, throw_on_missing=False) is None:
             _check_added(config_name, config, key)
 
@@ -91,7 +93,7 @@ def _options(group: str) -> list[str]:
 
 
 def _check_added(config_name: str, config: DictConfig, key: str) -> None:
-    parent, _, name = key.rpartition(".")
+    parent, _, name = key.removesuffix("._target_").rpartition(".")
     if key.startswith("hydra.") or any(fnmatch(parent, pattern) for pattern in TABLES):
         return
     node = OmegaConf.select(config, parent) if parent else config

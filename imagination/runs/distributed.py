@@ -37,7 +37,7 @@ def share_run_folder(folder: Path | None = None) -> Path:
 
 
 def stop_job_at_once() -> None:
-    """End this process when a signal arrives, and pass the signal on to rank 0, which tells the user.
+    """End this process when a signal arrives, and pass the signal on to rank 0, which prints the message.
 
     Lightning kills rank 0 after another of its processes has failed, so this one exits with 0.
     """

@@ -122,7 +122,7 @@ def open_run(config: DictConfig) -> Iterator[Run]:
 
 @contextmanager
 def interruption_reported(folder: Path) -> Iterator[None]:
-    """Tell the user how to resume an interrupted run, and exit; a sweep tells how to run its remaining jobs."""
+    """Report how to resume an interrupted run, and exit; a sweep tells how to run its remaining jobs."""
     try:
         yield
     except BaseException as error:

@@ -92,7 +92,7 @@ class _Running:
 
 @contextmanager
 def interruption_reported() -> Iterator[None]:
-    """Tell the user how to continue a sweep that was interrupted in this context."""
+    """Report how to continue a sweep that was interrupted in this context."""
     try:
         yield
     except (KeyboardInterrupt, SystemExit):

@@ -1,6 +1,6 @@
 """Signals that end a command: SIGINT (Ctrl-C) and SIGTERM (`kill`, `docker stop`, preemption by SLURM).
 
-Both raise `Interrupted`, a KeyboardInterrupt, in the main thread. The command saves its results, tells the user how to
+Both raise `Interrupted`, a KeyboardInterrupt, in the main thread. The command saves its results, prints how to
 continue, and exits with code 130 or 143. A repeated signal does not disturb that, unless it takes too long.
 """
 
@@ -24,7 +24,7 @@ PATIENCE = 5.0
 """Time after the first signal in which further signals are ignored, seconds."""
 
 CALLER = "IMAGINATION_CALLER"
-"""Environment variable of a command that was started by another command, which tells the user how to continue."""
+"""Environment variable of a command that was started by another command, which prints how to continue."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -39,7 +39,7 @@ class _State:
         since: time of the first signal, seconds.
         postponed: number of open `postponed` contexts.
         held: whether signals are held, see `hold`.
-        reported: whether the user was told.
+        reported: whether a message was printed.
     """
 
     signal: int | None = None
@@ -123,7 +123,7 @@ def release() -> None:
 
 
 def report(advice: str = "") -> None:
-    """Tell the user that the command was interrupted, once per process.
+    """Report that the command was interrupted, once per process.
 
     Args:
         advice: how to continue.

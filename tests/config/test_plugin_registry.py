@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from imagination.config.plugin_registry import GROUP, Plugin, check, discover, provided
+from imagination.config.contracts import check_plugin
+from imagination.config.plugin_registry import GROUP, Plugin, discover, provided
 from tests.conftest import Command
 
 
@@ -90,7 +91,7 @@ def test_an_installed_distribution_is_found_without_importing_it(
     plugin = found(tmp_path, monkeypatch)["rooms"]
     assert (plugin.origin, plugin.problem) == ("distribution rooms-package 1.2", "")
     assert plugin.options == ["model/mine"]
-    assert "RuntimeError: imported" in check(plugin)
+    assert "RuntimeError: imported" in check_plugin(plugin)
 
 
 @pytest.mark.parametrize(

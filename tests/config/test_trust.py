@@ -17,14 +17,12 @@ EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("
 
 
 def config(*overrides: str) -> DictConfig:
-    return compose(
-        "train", ["+experiment=chair_unet", "scale=test", "paths.run=run", "sweep_dir=null", *overrides]
-    )
+    return compose("train", ["+experiment=chair_unet", "scale=test", "paths.run=run", *overrides])
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_our_own_targets_are_trusted(experiment: str) -> None:
-    check_targets(compose("train", [f"+experiment={experiment}", "paths.run=.", "sweep_dir=null"]))
+    check_targets(compose("train", [f"+experiment={experiment}", "paths.run=."]))
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,6 @@ def command(*overrides: str) -> DictConfig:
     HydraConfig.instance().set_config(config)
     with open_dict(config):
         del config["hydra"]
-    config.sweep_dir = None
     return config
 
 
@@ -54,7 +53,7 @@ def write_run(here: Path, change: Callable[[Values, str], None] = lambda values,
     """Write the run folder with a changed config."""
     register_plugins()
     with initialize_config_dir(str(core_conf()), version_base="1.3"):
-        config = compose("train", ["experiment=chair_unet", "scale=test", "sweep_dir=null", "paths.run=old"])
+        config = compose("train", ["experiment=chair_unet", "scale=test", "paths.run=old"])
     values: Any = OmegaConf.to_container(config)
     values["elsewhere"] = str(here / "victim")  # to which other values may refer
     change(values, str(here / "victim"))

@@ -11,7 +11,8 @@ import torch
 from omegaconf import OmegaConf
 
 from imagination.config.compose import compose
-from imagination.config.plugin_registry import Plugin, _examine, check
+from imagination.config.contracts import check_plugin
+from imagination.config.plugin_registry import Plugin, _examine
 from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters
 from imagination.runs.resume import END, read_composed_config
 from imagination.utils.cache import MAGIC, DamagedError, decode, encode
@@ -66,7 +67,7 @@ def plugin(path: Path) -> str:
     with tempfile.TemporaryDirectory() as folder:
         shutil.copyfile(path, Path(folder) / "a.yaml")
         examined = Plugin("p", "here", conf=Path(folder))
-        return _examine(examined, {}, {}) or check(examined)
+        return _examine(examined, {}, {}) or check_plugin(examined)
 
 
 PARSERS = [

@@ -1,0 +1,143 @@
+"""Contracts of the classes that plugins add: the methods and attributes that the rest of the program uses."""
+
+import importlib
+import inspect
+from collections.abc import Iterator
+from contextlib import suppress
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import hydra
+import yaml
+from omegaconf import DictConfig, OmegaConf
+
+from imagination.config.plugin_registry import Plugin, targets_of
+from imagination.config.trust import nodes, texts_of
+from imagination.utils.errors import UserError
+
+
+class Contract(NamedTuple):
+    """Methods and attributes of a class.
+
+    Attributes:
+        name: dotted name of the class or protocol that documents them.
+        methods: positional arguments by name of the method.
+        attributes: names of the attributes.
+    """
+
+    name: str
+    methods: dict[str, tuple[str, ...]]
+    attributes: tuple[str, ...] = ()
+
+
+RULE = Contract("imagination.mapping.update_rules.UpdateRule", {"__call__": ("old", "new", "count")})
+
+CONTRACTS = {
+    "mapping.registration": RULE,
+    "evaluation.approaches.*.rule": RULE,
+    "model.unit": Contract(
+        "imagination.models.unit.Unit", {"forward": ("rgb", "depth", "occupied", "seen")}, ("categories",)
+    ),
+    "model.encoder": Contract(
+        "imagination.models.encoders.TimmEncoder", {"forward": ("rgb",)}, ("channels",)
+    ),
+    "model.loss": Contract(
+        "imagination.models.losses.Loss",
+        {"__call__": ("logits", "label", "neighbourhood", "counts")},
+        ("in_parts",),
+    ),
+}
+"""Contracts by place in the config (* is any key)."""
+
+
+def check_contracts(config: DictConfig) -> None:
+    """Check the objects of plugins in a config before a training; the project's classes have tests.
+
+    Raises:
+        UserError: if an object lacks something of its contract.
+    """
+    values: Any = OmegaConf.to_container(config, resolve=True)
+    for place, node in nodes(values):
+        target = str(node.get("_target_", ""))
+        contract = _contract_of(place)
+        if contract is None or not target or target.startswith("imagination."):
+            continue
+        missing = list(_missing_methods(hydra.utils.get_object(target), contract))
+        missing += _missing_attributes(hydra.utils.instantiate(node), contract) if not missing else []
+        if missing:
+            raise UserError(f"{place}: got {target}, {_problem(missing, contract)}")
+
+
+def check_plugin(plugin: Plugin) -> str:
+    """Import the packages of a plugin and each `_target_` of its conf tree, and check their contracts.
+
+    Returns:
+        the problem, or an empty string.
+    """
+    assert plugin.conf is not None
+    try:
+        for package in plugin.packages:
+            importlib.import_module(package)
+        for path in sorted(plugin.conf.rglob("*.yaml")):
+            for target in targets_of(yaml.safe_load(path.read_text())):
+                hydra.utils.get_object(target)
+        return plugin_problem(plugin.conf)
+    except Exception as error:  # code of a plugin may raise any type of exception
+        return f"{type(error).__name__}: {error}"
+
+
+def plugin_problem(conf: Path) -> str:
+    """Return the first violation of a contract in a plugin's conf tree, without creating objects; "" if there is none.
+
+    An attribute counts as present if the class has it or a method assigns it to `self`.
+    """
+    for key, target in texts_of(conf):
+        place = key.removesuffix("._target_")
+        contract = _contract_of(place)
+        if place == key or contract is None:
+            continue
+        cls = hydra.utils.get_object(target)
+        missing = [*_missing_methods(cls, contract), *_never_assigned(cls, contract)]
+        if missing:
+            return f"{place}: got {target}, {_problem(missing, contract)}"
+    return ""
+
+
+def _contract_of(place: str) -> Contract | None:
+    return next((contract for pattern, contract in CONTRACTS.items() if fnmatch(place, pattern)), None)
+
+
+def _problem(missing: list[str], contract: Contract) -> str:
+    return f"which lacks {', '.join(missing)} of its contract, expected those of {contract.name}"
+
+
+def _missing_methods(cls: Any, contract: Contract) -> Iterator[str]:
+    """Yield the methods that a class lacks, or that cannot be called with the arguments of the contract."""
+    for name, arguments in contract.methods.items():
+        # the call of a torch.nn.Module accepts anything and passes it on to `forward`
+        own = "forward" if name == "__call__" and hasattr(cls, "forward") else name
+        method = inspect.getattr_static(cls, own, None)
+        call = f"{name}({', '.join(arguments)})"
+        if not callable(method) or name in getattr(cls, "__abstractmethods__", ()):
+            yield call
+            continue
+        try:
+            inspect.signature(method).bind(None, *arguments)
+        except TypeError:
+            yield call
+
+
+def _missing_attributes(instance: Any, contract: Contract) -> list[str]:
+    return [name for name in contract.attributes if not hasattr(instance, name)]
+
+
+def _never_assigned(cls: Any, contract: Contract) -> Iterator[str]:
+    """Yield the attributes that neither a class nor a method of it or of its bases sets."""
+    sources = []
+    for base in inspect.getmro(cls) if inspect.isclass(cls) else ():
+        with suppress(OSError, TypeError):  # a class without Python source
+            sources.append(inspect.getsource(base))
+    for name in contract.attributes:
+        if not hasattr(cls, name) and not any(f"self.{name}" in source for source in sources):
+            yield name
