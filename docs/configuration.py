@@ -23,17 +23,22 @@ All options and keys, generated from `conf/` and `imagination/config/key_roles.p
 
 ## Groups of a run
 
-- `logger=tensorboard|csv|wandb|mlflow|many`, a list such as `logger=[tensorboard,wandb]`, or `logger=null` for none. wandb and mlflow need
-  `pip install 'imagination[wandb]'` or `'imagination[mlflow]'`. Pictures, hyperparameters and the printed hints follow the loggers.
-- `trainer=default|cpu|gpu|ddp`. Any argument of `lightning.Trainer` is respected or refused by name ([Lightning](lightning.md)).
-- `debug=default|fdr|limit|overfit|profiler`: one epoch on the CPU with checks, one step of each stage, a few batches, the same few views in
-  every epoch, the time of each hook. Runs are in `outputs/debug/`.
-- `extras.print_config=true` prints the config, `extras.tags=[a,b]` describes a run, `extras.ignore_warnings=true` hides warnings.
+- `logger=tensorboard|csv|wandb|mlflow|many`, a list such as `logger=[tensorboard,wandb]`, or `logger=null` for none.
+  wandb and mlflow need `pip install 'imagination[wandb]'` or `'imagination[mlflow]'`. Pictures, hyperparameters and
+  the printed hints follow the loggers.
+- `trainer=default|cpu|gpu|ddp`. Any argument of `lightning.Trainer` is respected or refused by name
+  ([Lightning](lightning.md)).
+- `debug=default|fdr|limit|overfit|profiler`: one epoch on the CPU with checks, one step of each stage, a few
+  batches, the same few views in every epoch, the time of each hook. Runs are in `outputs/debug/`.
+- `extras.print_config=true` prints the config, `extras.tags=[a,b]` describes a run, `extras.ignore_warnings=true`
+  hides warnings.
 - `model/optimizer=adam|adamw|sgd` and `model/scheduler=cosine|constant|step`.
-- `conf/local/default.yaml`, which git ignores, holds settings of this machine, such as `paths: {cache: /scratch/cache}` with
-  `# @package _global_` as its first line.
-- `train=false` with `resume=<run folder>` only evaluates the run again; `test=false` only trains. A search maximises `optimized_metric`.
-- `hydra/launcher=submitit_slurm` runs the jobs of a sweep as SLURM jobs; it needs `pip install 'imagination[slurm]'`.
+- `conf/local/default.yaml`, which git ignores, holds settings of this machine, such as `paths: {cache:
+  /scratch/cache}` with `# @package _global_` as its first line.
+- `train=false` with `resume=<run folder>` only evaluates the run again; `test=false` only trains. A search maximises
+  `optimized_metric`.
+- `hydra/launcher=submitit_slurm` runs the jobs of a sweep as SLURM jobs; it needs `pip install
+  'imagination[slurm]'`.
 
 ## Keys
 
