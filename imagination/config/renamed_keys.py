@@ -133,9 +133,9 @@ def as_overrides(command: str, words: Sequence[str]) -> list[str]:
             result[-1] = assignment(key, word)
         elif key := OPTION_KEYS.get((command, option)):
             result.append(assignment(key, value or "PAGE"))
-        elif (key := POSITIONAL_KEYS.get(command)) and not (equals or "-" in (word[:1], before[:1])):
+        elif (key := POSITIONAL_KEYS.get(command)) and not (equals or word[:1] in "-~" or before[:1] == "-"):
             result.append(assignment(key, word))
         else:
             result.append(FLAGS.get((command, word), word))
-        before = word
+        before = "" if equals else word  # an option with its value takes no other word
     return result

@@ -16,6 +16,7 @@ from imagination.runs.finished_trainings import (
     training_key,
 )
 from imagination.runs.folder import COMPOSED
+from imagination.runs.resume import END
 from imagination.study import check_evaluation
 from imagination.utils.errors import UserError
 from tests.conftest import Command
@@ -34,7 +35,7 @@ def run(outputs: Path, date: str, overrides: list[str], *files: str) -> Path:
     if FINAL in files:
         write_final_record(folder, max_epochs=config.trainer.max_epochs)
     config.paths.run = str(folder)
-    OmegaConf.save(config, folder / COMPOSED)
+    (folder / COMPOSED).write_text(OmegaConf.to_yaml(config) + END)
     return folder
 
 
@@ -60,7 +61,7 @@ def test_a_missing_run_is_trained(tmp_path: Path, called: list[str]) -> None:
     assert (
         train_or_reuse("chair_unet", overrides, tmp_path) == tmp_path / "chair_unet/new/checkpoints/best.ckpt"
     )
-    assert called == [f"train +experiment=chair_unet scale=test paths.outputs={tmp_path}"]
+    assert called == [f"train experiment=chair_unet scale=test paths.outputs={tmp_path}"]
     train_or_reuse("chair_unet", overrides, tmp_path)
     assert len(called) == 1  # not trained again
 
@@ -87,7 +88,7 @@ def test_the_newest_finished_run_of_the_same_config_counts(tmp_path: Path, calle
 def test_a_run_with_other_settings_does_not_count(tmp_path: Path, called: list[str], other: str) -> None:
     run(tmp_path, "1", [*OVERRIDES, other], *DONE)
     train_or_reuse("chair_unet", OVERRIDES, tmp_path)
-    assert called == ["train +experiment=chair_unet scale=test"]
+    assert called == ["train experiment=chair_unet scale=test"]
 
 
 def test_a_run_of_other_code_does_not_count(
@@ -98,13 +99,13 @@ def test_a_run_of_other_code_does_not_count(
     assert called == []
     monkeypatch.setattr("imagination.runs.finished_trainings.code_version", lambda packages: "another")
     train_or_reuse("chair_unet", OVERRIDES, tmp_path)
-    assert called == ["train +experiment=chair_unet scale=test"]
+    assert called == ["train experiment=chair_unet scale=test"]
 
 
 def test_a_run_without_a_checkpoint_does_not_count(tmp_path: Path, called: list[str]) -> None:
     run(tmp_path, "1", OVERRIDES, FINAL)
     train_or_reuse("chair_unet", OVERRIDES, tmp_path)
-    assert called == ["train +experiment=chair_unet scale=test"]
+    assert called == ["train experiment=chair_unet scale=test"]
 
 
 @pytest.mark.parametrize("config", ["[" * 3000, "seed: " + "9" * 5000, "- 1", "a: !!bool x"])

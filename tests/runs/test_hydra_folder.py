@@ -22,7 +22,7 @@ from imagination.runs.sweep import Sweep
 from imagination.utils.errors import UserError
 from tests.conftest import Command
 
-JOB = ["+experiment=chair_unet", "scale=test"]
+JOB = ["experiment=chair_unet", "scale=test"]
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def sweep(*overrides: str, name: str = "train") -> Path:
     config = loader.load_configuration(name, list(overrides), RunMode.MULTIRUN)
     Sweep().on_multirun_start(config, config_name=name)
     folder = Path(config.hydra.sweep.dir)
-    job = loader.load_sweep_config(config, ["+experiment=bed_unet", "name=other"])
+    job = loader.load_sweep_config(config, ["experiment=bed_unet", "name=other"])
     assert Path(job.hydra.sweep.dir) == folder  # whatever a job changes
     return folder
 
@@ -101,8 +101,8 @@ def sweep(*overrides: str, name: str = "train") -> Path:
 @pytest.mark.parametrize(
     ("overrides", "parent"),
     [
-        (["+experiment=chair_unet", "seed=1,2"], "outputs/chair_unet"),
-        (["+experiment=chair_unet,bed_unet"], "outputs"),
+        (["experiment=chair_unet", "seed=1,2"], "outputs/chair_unet"),
+        (["experiment=chair_unet,bed_unet"], "outputs"),
         (["name=a,b"], "outputs"),
         (["model=unit,projected"], "outputs/custom"),
     ],
