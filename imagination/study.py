@@ -37,6 +37,12 @@ def main(config: DictConfig) -> None:
     overrides = [
         text for text in HydraConfig.get().overrides.task if role(override_key(text)) != Role.COMMAND
     ]
+    for text in overrides:
+        if override_key(text) in ("experiment", "name", "debug", "train", "test"):
+            raise UserError(
+                f"{override_key(text)}: got {text!r}, but a study trains and tests several experiments; choose them "
+                "with experiments=[…]"
+            )
     training = [text for text in overrides if not is_evaluation_only(text)]
     evaluation = [f"study={config.compare}"]
     evaluation += [
@@ -77,13 +83,32 @@ def check_evaluation(experiments: Sequence[str], training: Sequence[str], evalua
 
     if not experiments:
         raise UserError("experiments: got none, expected names such as [chair_unet,segmentation_hrnet]")
-    checkpoints = []
-    for experiment in experiments:
-        config = training_config(experiment, training)
+    configs = [training_config(experiment, training) for experiment in experiments]
+    for config in configs:
         validate(config)
-        checkpoints.append(Checkpoint(Path(experiment), {KEY: hyperparameters(config)}))
+    check_epochs(configs)
+    checkpoints = [
+        Checkpoint(Path(experiment), {KEY: hyperparameters(config)})
+        for experiment, config in zip(experiments, configs, strict=True)
+    ]
     config = evaluation_config(checkpoints, [f"ckpt={json.dumps(list(experiments))}", *evaluation])
     instantiate(config.evaluation).available(NEEDS)
+
+
+def check_epochs(configs: Sequence[DictConfig]) -> None:
+    """Check that the baseline reuses the views of all epochs of the units.
+
+    Raises:
+        UserError: if the numbers of epochs differ.
+    """
+    epochs = {config.trainer.max_epochs for config in configs if config.model.predicts == "maps"}
+    for config in configs:
+        collected = config.callbacks.replay_buffer.collection_epochs
+        if config.model.predicts == "images" and epochs - {collected}:
+            raise UserError(
+                f"trainer.max_epochs: got {max(epochs)} for the units, expected hrnet.collection_epochs, {collected}, "
+                "whose views the baseline reuses; set the epochs in an experiment of the units, and hrnet.* to match"
+            )
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
@@ -11,7 +10,7 @@ from omegaconf import DictConfig
 from imagination.config.contracts import check_contracts
 from imagination.runs.command import command
 from imagination.runs.final_record import write_final_record
-from imagination.runs.folder import BEST
+from imagination.runs.folder import LAST, best_checkpoint
 from imagination.runs.logging import quiet_lightning
 from imagination.runs.preflight import check_accelerator, check_processes, out_of_memory_reported
 from imagination.runs.resume import Run, open_run
@@ -38,48 +37,58 @@ def main(config: DictConfig) -> float | None:
         )
     with open_run(config) as run:
         log.info("Run folder: %s", run.folder)
-        task, trainer = train(run)
+        task, trainer, metrics = train(run)
         from imagination.runs.trainer import optimized_score  # imports torch, which errors before do without
 
-        score = optimized_score(trainer, run.config.optimized_metric)
+        score = optimized_score(trainer, metrics, run.config.optimized_metric)
         if trainer.is_global_zero:
             if run.config.test:
                 log.info("%s", write_single_view_scores(run, trainer, task))
-            log.info("%s", summary(run, best_checkpoint(run)))
+            log.info("%s", summary(run, best_checkpoint(run.folder)))
             if run.config.train:
                 epochs = {"epochs": trainer.current_epoch, "max_epochs": run.config.trainer.max_epochs}
                 write_final_record(run.folder, score=score, **epochs)
         return score
 
 
-def train(run: Run) -> tuple[LitTask, Trainer]:
+def train(run: Run) -> tuple[LitTask, Trainer, dict[str, float]]:
     """Build task, data and trainer, train the network, and test its best checkpoint on the test scenes.
 
     `train=false` and `test=false` leave out the training and the test.
+
+    Returns:
+        the task, the trainer, and the last logged metrics of training, validation and test.
     """
     from imagination.reporting.hyperparameters import record_hyperparameters
     from imagination.runs.trainer import log_loggers
 
     task, data, trainer = build(run)
     log_loggers(trainer)
+    metrics: dict[str, float] = {}
     try:
         if run.config.train:
             with stage("scenes and ground truth"):
                 data.setup("fit")
             with stage("training"), out_of_memory_reported(run.config):
                 trainer.fit(task, datamodule=data, ckpt_path=run.checkpoint, weights_only=True)
+            metrics |= {name: float(value) for name, value in trainer.callback_metrics.items()}
         if run.config.test:
             with stage("scenes and ground truth"):
                 data.setup("test")
             with stage("evaluation"):
                 trainer.test(
-                    task, datamodule=data, ckpt_path=best_checkpoint(run), verbose=False, weights_only=True
+                    task,
+                    datamodule=data,
+                    ckpt_path=best_checkpoint(run.folder),
+                    verbose=False,
+                    weights_only=True,
                 )
     finally:
         data.close()
     if trainer.is_global_zero:
         record_hyperparameters(trainer, run.config)
-    return task, trainer
+    metrics |= {name: float(value) for name, value in trainer.callback_metrics.items()}
+    return task, trainer, metrics
 
 
 def build(run: Run) -> tuple[LitTask, SceneData, Trainer]:
@@ -88,7 +97,7 @@ def build(run: Run) -> tuple[LitTask, SceneData, Trainer]:
     from hydra.utils import instantiate
     from lightning import seed_everything
 
-    from imagination.runs.checkpoint import hyperparameters, read_state
+    from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters, read_state
     from imagination.runs.trainer import make_trainer
 
     config = run.config
@@ -101,14 +110,12 @@ def build(run: Run) -> tuple[LitTask, SceneData, Trainer]:
     # deterministic mode fills uninitialized memory to expose reads before writes, which only costs time here
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     task = instantiate(config.model.module)
-    task.save_hyperparameters(hyperparameters(config), logger=False)  # for load_from_checkpoint
+    saved = hyperparameters(config)
+    assert Checkpoint(run.folder / LAST, {KEY: saved}).config, (
+        "raises before the training if it cannot be read"
+    )
+    task.save_hyperparameters(saved, logger=False)  # for load_from_checkpoint
     return task, instantiate(config.data.module), make_trainer(config, first_step)
-
-
-def best_checkpoint(run: Run) -> Path | None:
-    """Return the checkpoint with the best validation score; None, the weights in memory, if there is no checkpoint."""
-    path = run.folder / BEST
-    return path if path.is_file() else None
 
 
 if __name__ == "__main__":

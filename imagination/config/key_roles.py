@@ -176,7 +176,8 @@ KEYS: Mapping[str, Key] = {
     "trainer.logger": Key(Role.EXECUTION),
     "trainer.callbacks": Key(Role.EXECUTION),
     "trainer.plugins": Key(Role.EXECUTION),
-    "trainer": Key(Role.TRAINING),
+    "trainer.*": Key(Role.TRAINING),
+    "trainer": Key(Role.EXECUTION),  # the group selects hardware
     # evaluation
     "evaluation.cell_widths": Key(Role.EVALUATION, unit="m", symbol="cell width", old=("scale.cell_widths",)),
     "evaluation.viewpoint_sets": Key(Role.EVALUATION, 1, 10_000, old=("scale.viewpoint_sets",)),
@@ -215,7 +216,9 @@ KEYS: Mapping[str, Key] = {
     "callbacks.seed_per_epoch": Key(Role.EXECUTION, old=("callbacks.seeding",)),
     "callbacks.learning_rate_monitor": Key(Role.EXECUTION),
     "callbacks.progress_bar": Key(Role.EXECUTION, old=("callbacks.progress",)),
-    "callbacks": Key(Role.EXECUTION),
+    "callbacks.last_checkpoint": Key(Role.EXECUTION),
+    "callbacks.best_checkpoint.dirpath": Key(Role.LOCATION),
+    "callbacks": Key(Role.TRAINING),
     "viewer.max_frames": Key(Role.EXECUTION, old=("viewer.most",)),
     "logger": Key(Role.EXECUTION),
     "extras": Key(Role.EXECUTION),
@@ -236,8 +239,10 @@ KEYS: Mapping[str, Key] = {
     "experiments": Key(Role.COMMAND),
     "compare": Key(Role.COMMAND),
 }
-"""Keys and nodes with their rows. A key that is not listed has the role of the longest listed node that contains it;
-without such a node it changes the training, as the keys of plugins do."""
+"""Keys and nodes with their rows; `node.*` stands for the keys of a node but not for the group of that name.
+
+A key that is not listed has the role of the longest listed node that contains it. Without such a node it changes the
+training, as the keys of plugins do."""
 
 CELL_WIDTH = (0.1, 100.0, "m")
 """Range of the values in evaluation.cell_widths."""
@@ -267,9 +272,15 @@ def _row(key: str) -> Key | None:
 
     A node with the name of a node of locations, such as the cache of a scene source, is one wherever it is.
     """
-    parts = key.partition("@")[0].replace("/", ".").split(".")
+    group, _, package = key.partition("@")
+    if package and not package.startswith("_") and role(package) not in RESULT_ROLES:
+        return _row(package)  # the option is placed in this node
+    parts = group.replace("/", ".").split(".")
     for name in ("paths", "cache"):
         if name in parts:
             return KEYS[".".join(parts)] if ".".join(parts) in KEYS else KEYS[name]
-    prefixes = (".".join(parts[:count]) for count in range(len(parts), 0, -1))
-    return next((KEYS[prefix] for prefix in prefixes if prefix in KEYS), None)
+    for count in range(len(parts), 0, -1):
+        prefix = ".".join(parts[:count])
+        if row := KEYS.get(f"{prefix}.*" if count < len(parts) else prefix, KEYS.get(prefix)):
+            return row
+    return None

@@ -1,10 +1,12 @@
 """Parsing of command-line overrides, and the values of a configuration by dotted key."""
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.key_roles import OPTIONAL_GROUPS, RESULT_ROLES, role
 
@@ -25,13 +27,28 @@ def leaves(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
             yield f"{prefix}{key}", value
 
 
-def result_overrides(overrides: Sequence[str]) -> list[str]:
-    """Return the overrides that affect the results of a run, e.g. "experiment=chair_unet" or "seed=3"."""
+def result_overrides(overrides: Sequence[str], config: DictConfig) -> list[str]:
+    """Return the overrides that affect the results of a run, e.g. "experiment=chair_unet" or "seed=3".
 
-    def affects_results(text: str) -> bool:
-        return role(override_key(text)) in RESULT_ROLES and "_target_" not in text and "${" not in text
+    A reference is replaced by its value, and of a dictionary only the keys that affect results are kept.
 
-    return [text for text in overrides if affects_results(text)]
+    Args:
+        overrides: overrides of the run.
+        config: composed config of the run.
+    """
+    return [kept for text in overrides if "_target_" not in text for kept in _result_parts(text, config)]
+
+
+def _result_parts(override: str, config: DictConfig) -> Iterator[str]:
+    keys = set_keys(override)
+    kept = [key for key in keys if role(key) in RESULT_ROLES]
+    if len(kept) == len(keys) and "${" not in override:
+        yield override
+        return
+    for key in kept:
+        value = OmegaConf.select(config, key)
+        plain = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+        yield f"++{key}={json.dumps(plain)}"
 
 
 def normalized(words: Sequence[str]) -> list[str]:

@@ -50,5 +50,10 @@ def check_trainer(trainer: Mapping[str, Any]) -> None:
         if trainer.get(key) is not None and trainer[key] not in allowed:
             expected = f"expected {' or '.join(map(str, allowed))}" if allowed else "expected no value"
             raise UserError(f"trainer.{key}: got {trainer[key]!r}, {expected}; {advice}")
+    shortest, longest = trainer.get("min_epochs"), trainer.get("max_epochs")
+    if shortest is not None and longest is not None and shortest > longest:
+        raise UserError(
+            f"trainer.min_epochs: got {shortest}, expected at most trainer.max_epochs, {longest}; set both"
+        )
     if trainer.get("limit_test_batches") == 0:  # the final table needs scores
         raise UserError("trainer.limit_test_batches: got 0, expected at least one batch")

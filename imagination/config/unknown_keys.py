@@ -48,6 +48,13 @@ def unknown_keys_reported(config_name: str) -> Iterator[None]:
     """
     try:
         yield
+    except ValueError as error:
+        if "Config group override must be" in str(error):  # Hydra's message does not name the group
+            raise UserError(
+                "null: got null for a group, expected the name of an option; only logger=null is possible, and "
+                "logger=[] in a sweep"
+            ) from error
+        raise
     except ConfigCompositionException as error:
         if match := NO_KEY.search(str(error)):
             raise _unknown(config_name, match[1], _names(config_name)) from error

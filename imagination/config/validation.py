@@ -44,6 +44,8 @@ def validate(config: DictConfig) -> None:
         cells_of(extent, config.ego.resolution)
     if OmegaConf.select(config, "trainer") is not None:
         check_trainer(config.trainer)
+    if not isinstance(config.unit_categories, ListConfig):
+        raise UserError(f"unit_categories: got {config.unit_categories!r}, expected a list such as [chair]")
     if not config.unit_categories:
         raise UserError(
             "unit_categories: got none, expected at least one of: " + ", ".join(config.categories)
@@ -92,7 +94,11 @@ def check_name(name: str) -> str:
     Raises:
         UserError: if it is invalid or reserved.
     """
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name) or name in ("default", "cache", "latest"):
+    if (
+        not isinstance(name, str)
+        or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name)
+        or name in ("default", "cache", "latest")
+    ):
         raise UserError(
             f"name: got {name!r}, expected letters, digits and _ . + - (and not default, cache or latest)"
         )

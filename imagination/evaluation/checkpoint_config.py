@@ -116,7 +116,7 @@ def _refuse_missing(checkpoints: Sequence[Checkpoint], config: DictConfig) -> No
 def _refuse_other_networks(overrides: Sequence[str]) -> None:
     """Refuse overrides of the networks, which are evaluated as they were trained."""
     for text in overrides:
-        if override_group(text) in ("model", "hrnet"):
+        if override_group(text) in ("model", "hrnet", "experiment"):
             raise UserError(
                 f"{override_key(text)}: got {text}, but networks are evaluated as they were trained; leave it out, or "
                 "train a network with it"

@@ -22,7 +22,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from imagination.config.compose import compose
 from imagination.config.key_roles import RESULT_ROLES, role
-from imagination.config.overrides import set_keys
+from imagination.config.overrides import override_key, set_keys
+from imagination.config.unknown_keys import is_group
 from imagination.models.task_kind import TaskKind
 from imagination.models.weights import mismatches
 from imagination.runs.folder import LAST
@@ -32,7 +33,7 @@ from imagination.utils.errors import UserError, check_choice
 KEY = LightningModule.CHECKPOINT_HYPER_PARAMS_KEY
 """Key of the hyperparameters in the dictionary that Lightning saves: overrides (`choices`) and plain values."""
 
-OVERRIDE = re.compile(r"(?!hydra)[+~]*[A-Za-z][\w./@]*(=.*)?")
+OVERRIDE = re.compile(r"(?!hydra)[+~]*[A-Za-z][\w./@-]*(=.*)?", re.DOTALL)
 """Pattern of the allowed overrides, e.g. "model/encoder=timm" or "seed=3"; overrides of Hydra itself are refused."""
 
 
@@ -121,7 +122,9 @@ class Checkpoint:
             if "${" in text or "_target_" in text:
                 raise self._refused(text, "plain values")
         for text in overrides:
-            if not OVERRIDE.fullmatch(text) or ".." in text:  # ".." could leave the conf tree
+            key = override_key(text)
+            leaves_conf = ".." in key or (".." in text and is_group(key))
+            if not OVERRIDE.fullmatch(text) or leaves_conf:
                 raise self._refused(text, "an override such as model/encoder=timm or seed=3")
             for key in set_keys(text):
                 if role(key) not in RESULT_ROLES:

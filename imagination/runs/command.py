@@ -54,11 +54,11 @@ def command(config_name: str, check: Task | None = None) -> Callable[[Task], Cal
     def decorate(task: Task) -> Callable[[], None]:
         @wraps(task)
         def checked(config: DictConfig) -> float | None:
+            if "extras" in config:
+                apply_extras(config)
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 return run_job(task, config)
             with user_errors_reported():
-                if "extras" in config:
-                    apply_extras(config)
                 check_added_keys(config_name, list(HydraConfig.get().overrides.task))
                 (check or validate)(config)
                 return task(config)

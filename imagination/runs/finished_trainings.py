@@ -30,7 +30,7 @@ def training_config(experiment: str, overrides: Sequence[str]) -> DictConfig:
     """Return the config of an experiment's run, as `imagination.train` composes it."""
     overrides = [f"experiment={experiment}", *overrides]
     config = compose("train", [*overrides, "paths.run=."])
-    config.choices, config.program = result_overrides(overrides), code_version(PROGRAM)
+    config.choices, config.program = result_overrides(overrides, config), code_version(PROGRAM)
     return config
 
 

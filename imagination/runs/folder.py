@@ -30,6 +30,11 @@ TIMESTAMP = "%Y-%m-%d_%H-%M-%S"
 """Format of the time in names of run folders."""
 
 
+def best_checkpoint(folder: Path) -> Path | None:
+    """Return the checkpoint with the best validation score in a run folder; None if there is no checkpoint."""
+    return folder / BEST if (folder / BEST).is_file() else None
+
+
 def create_folder(parent: Path, name: str) -> Path:
     """Create a new folder parent/name, with the suffix _1, _2, … if the name exists, and return it."""
     with write_errors_reported(parent):

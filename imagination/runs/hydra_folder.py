@@ -14,7 +14,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from imagination.config.overrides import override_key
+from imagination.config.overrides import override_key, sweeps
 from imagination.runs.final_record import FINAL
 from imagination.runs.folder import COMPOSED, CONFIG, create_folder
 from imagination.utils.atomic_io import write_errors_reported, write_text
@@ -65,8 +65,15 @@ def check_hydra_overrides(command: str, words: Sequence[str]) -> None:
     Raises:
         UserError: on the first such override.
     """
+    is_sweep = any(map(sweeps, words))
     for text in words:
         value = text.partition("=")[2]
+        if override_key(text) == "hydra.sweep.dir" and not is_sweep:
+            raise UserError(
+                f"hydra.sweep.dir: got {value!r} without -m, expected a sweep; add -m or leave it out"
+            )
+        if override_key(text) == "hydra.run.dir" and is_sweep:
+            raise UserError(f"hydra.run.dir: got {value!r} for a sweep; set hydra.sweep.dir instead")
         if override_key(text) == "hydra.run.dir" and command not in WITH_RUN_FOLDER:
             raise UserError(
                 f"hydra.run.dir: got {value!r}, but imagination.{command} has no run folder; leave it out"

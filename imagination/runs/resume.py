@@ -165,7 +165,7 @@ def join_run(config: DictConfig) -> Run:
     if config.resume or config.ckpt_path:
         return resume_run(folder, config)
     config.paths.run = str(folder)
-    config.choices = result_overrides(HydraConfig.get().overrides.task)
+    config.choices = result_overrides(HydraConfig.get().overrides.task, config)
     return Run(folder, config, None)
 
 
@@ -214,7 +214,7 @@ def create_run_folder(config: DictConfig) -> Path:
 def begin_run(folder: Path, config: DictConfig) -> Run:
     """Write the config of a new run into its folder and return the run."""
     config.paths.run = str(folder)
-    config.choices = result_overrides(HydraConfig.get().overrides.task)
+    config.choices = result_overrides(HydraConfig.get().overrides.task, config)
     config.program = code_version(PROGRAM)
     try:
         check_targets(config)
@@ -323,7 +323,7 @@ def keep_references(config: DictConfig, key: str) -> None:
     value = OmegaConf.select(config, key)
     values: Any = OmegaConf.to_container(config)
     for other, reference in leaves(values):
-        if reference == f"${{{key}}}":
+        if reference == f"${{{key}}}" and role(other) == Role.TRAINING:
             OmegaConf.update(config, other, value)
 
 

@@ -108,7 +108,8 @@ def _without(node: Mapping[str, Any], roles: Collection[Role], prefix: str = "")
     kept = {}
     for name, value in node.items():
         if isinstance(value, dict):
-            kept[name] = _without(value, roles, f"{prefix}{name}.")
+            if inner := _without(value, roles, f"{prefix}{name}."):
+                kept[name] = inner
         elif role(f"{prefix}{name}") not in roles:
             kept[name] = value
     return kept

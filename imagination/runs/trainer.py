@@ -149,23 +149,19 @@ def log_loggers(trainer: Trainer) -> None:
             log.info("%s: %s", type(logger).__name__, folder)
 
 
-def optimized_score(trainer: Trainer, metric: str) -> float | None:
-    """Return the score that a search maximises.
+def optimized_score(trainer: Trainer, metrics: Mapping[str, float], metric: str) -> float | None:
+    """Return the score that a search maximises; None if there is none.
 
     Args:
         trainer: trainer after the training.
+        metrics: last logged values by name.
         metric: name of the metric. For the metric that the best checkpoint monitors, the score of that checkpoint is
-            returned, or None if there is none; for others, the value that was logged last.
-
-    Raises:
-        UserError: if the metric was not logged.
+            returned, for others the value that was logged last.
     """
     for callback in trainer.checkpoint_callbacks:
-        if getattr(callback, "monitor", None) == metric:
-            score = getattr(callback, "best_model_score", None)
-            return None if score is None else float(score)
-    if metric not in trainer.callback_metrics:
-        raise UserError(
-            f"optimized_metric: got {metric!r}, expected one of: {', '.join(sorted(trainer.callback_metrics))}"
-        )
-    return float(trainer.callback_metrics[metric])
+        score = getattr(callback, "best_model_score", None)
+        if getattr(callback, "monitor", None) == metric and score is not None:
+            return float(score)
+    if metric not in metrics and metric != "val/iou":
+        log.warning("optimized_metric: got %r, expected one of: %s", metric, ", ".join(sorted(metrics)))
+    return metrics.get(metric)

@@ -40,7 +40,12 @@ ELSEWHERE = (
         ("data.module.observer.cache.folder", Role.LOCATION),
         ("data.workers", Role.EXECUTION),
         ("trainer.devices", Role.EXECUTION),
-        ("callbacks", Role.EXECUTION),
+        ("callbacks", Role.TRAINING),
+        ("callbacks.progress_bar", Role.EXECUTION),
+        ("trainer", Role.EXECUTION),
+        ("trainer.gradient_clip_val", Role.TRAINING),
+        ("model/loss@cache", Role.LOCATION),
+        ("data@paths", Role.LOCATION),
         ("hydra/launcher", Role.EXECUTION),
         ("logger.csv.save_dir", Role.EXECUTION),
         ("sweep", Role.COMMAND),
@@ -62,7 +67,7 @@ def test_every_key_of_the_table_exists() -> None:
     for key in KEYS.keys() - trainer_arguments - {"sweep", "hparams_search", "local"}:
         if key.startswith((*ELSEWHERE, "hydra")):
             continue
-        parent, _, name = key.rpartition(".")
+        parent, _, name = key.removesuffix(".*").rpartition(".")
         nodes = [OmegaConf.select(config, parent) if parent else config for config in configs]
         assert any(node is not None and name in node for node in nodes), key
 
