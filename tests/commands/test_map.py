@@ -152,7 +152,7 @@ def test_a_recording_without_mapped_frames_is_an_error(
         (["unit=a.onnx"], "recording.path: got none"),
         (["recording.path=x"], "unit: got none"),
         (["recording.path=x", "unit=a.onnx"], "unit: got a.onnx"),
-        (["recording=rosbag", "recording.path=x"], "bag folder scannet tum"),
+        (["recording=rosbag", "recording.path=x"], "bag, folder, scannet, tum"),
         (["recording.path=x", "unit=a.onnx,b.onnx", "-m"], "-m: imagination.map "),
     ],
 )

@@ -56,18 +56,18 @@ def doubling_through_a_parent(levels: int) -> dict[str, Any]:
 @pytest.mark.parametrize("bomb", [doubling_texts, doubling_nodes, doubling_through_a_parent])
 def test_references_that_expand_to_much_data_are_refused(bomb: Any) -> None:
     check_references(bomb(5))
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(UserError, match=str(MAX_SIZE)):
         check_references(bomb(60))
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
 
 
 def test_many_references_to_a_long_list_are_refused_quickly() -> None:
     values = {"list": [0] * 50_000, **{f"a{n}": "${list}" for n in range(50_000)}}
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(UserError, match=str(MAX_SIZE)):
         check_references(values)
-    assert time.perf_counter() - start < 5.0
+    assert time.process_time() - start < 5.0
 
 
 @pytest.mark.parametrize(

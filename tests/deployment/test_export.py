@@ -64,6 +64,7 @@ def test_predictions_equal_those_of_pytorch(files: Path, name: str) -> None:
         assert np.abs(module(lower) - module(views[0].observation))[channel].max() > 1e-3
 
 
+@pytest.mark.slow
 def test_export_keeps_the_tta_hflip_of_the_checkpoint(tmp_path: Path) -> None:
     """Two checkpoints with the same weights, one of which averages over the view and its mirror image."""
     views, predictors, weights = samples(3), [], {}

@@ -213,9 +213,10 @@ def test_a_written_scene_is_released_from_memory(tmp_path: Path) -> None:
 
 
 def test_incomplete_files_are_removed_unless_another_job_is_writing(tmp_path: Path) -> None:
-    part = tmp_path / f".{writer.chunk_name('train_0')}.x.part"
+    name = writer.chunk_name("train_0")
+    part = tmp_path / f".{name}.abcd_123.part"
     part.mkdir()
-    (part / "chunk").touch()
+    (part / name).touch()
     with writer.at_work(tmp_path):
         assert not part.exists()
         part.mkdir()
@@ -448,6 +449,7 @@ class Deadly(Rooms):
         return super().load(scene)
 
 
+@pytest.mark.slow
 def test_a_scene_that_kills_its_worker_is_left_out(tmp_path: Path) -> None:
     watcher, folder = observer(tmp_path / "cache", Deadly(4)), tmp_path / "dataset"
     scenes = Deadly(4).scenes("train")
@@ -461,6 +463,7 @@ def test_a_scene_that_kills_its_worker_is_left_out(tmp_path: Path) -> None:
 WRITE = ["scale=test", "data.splits.train=3", "views=8", "shards=dataset"]
 
 
+@pytest.mark.slow
 def test_the_command_writes_and_resumes_and_training_streams(command: Command, tmp_path: Path) -> None:
     done = command("prepare_shards", *WRITE, "part=0", "parts=2")
     assert done.returncode == 0 and "2 scenes, 16 views" in done.stderr, done.stderr
