@@ -67,7 +67,7 @@ def test_many_references_to_a_long_list_are_refused_quickly() -> None:
     start = time.process_time()
     with pytest.raises(UserError, match=str(MAX_SIZE)):
         check_references(values)
-    assert time.process_time() - start < 5.0
+    assert time.process_time() - start < 20.0  # without the check, minutes
 
 
 @pytest.mark.parametrize(
