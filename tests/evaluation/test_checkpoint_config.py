@@ -8,6 +8,7 @@ import pytest
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.compose import compose
+from imagination.config.overrides import result_overrides
 from imagination.evaluation.checkpoint_config import check_scenes, evaluation_config
 from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters
 from imagination.utils.errors import UserError
@@ -198,3 +199,23 @@ def test_training_scenes_are_not_evaluated(caplog: pytest.LogCaptureFixture) -> 
     for scene in ("val_2", "test_0"):
         with pytest.raises(UserError, match=rf"ckpt: {scene}\.ckpt.*{scene}.*split"):
             check_scenes([trained_in("train_0"), trained_in(scene)], rooms)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "key", "expected"),
+    [
+        (["callbacks=[default,early_stopping]", "callbacks.early_stopping.min_delta=0.01"], "seed", 0),
+        (["data={workers: 2, batch_size: 8}"], "data.batch_size", 8),
+        (["trainer={max_epochs: 3, devices: 2}"], "trainer.devices", 1),
+        (["data=shards", "data.shards=../views"], "data.shards", "../views"),
+        (["kernels.ground_truth=${kernels.imaginable}"], "kernels.ground_truth", 1.0),
+        (["trainer=ddp"], "trainer.accelerator", "auto"),
+    ],
+)
+def test_what_a_run_stores_is_evaluated(overrides: list[str], key: str, expected: Any) -> None:
+    """Whatever a user overrides, the run's checkpoint can be evaluated, and devices are not taken from it."""
+    words = ["experiment=chair_unet", "scale=test", *overrides]
+    config = compose("train", [*words, "paths.run=."])
+    config.choices = result_overrides(words, config)
+    saved = Checkpoint(Path("best.ckpt"), {KEY: hyperparameters(config), "state_dict": {}})
+    assert node(saved.config, key) == node(evaluation_config([saved], []), key) == expected

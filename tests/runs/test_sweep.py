@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from imagination.config.compose import compose
+from imagination.config.key_roles import Role
 from imagination.config.user_messages import explain
 from imagination.runs import sweep_jobs
 from imagination.runs.folder import LAST
@@ -82,11 +83,20 @@ def test_a_key_depends_on_the_results_only() -> None:
     assert key == config_key(compose("train", [*JOB, "cache.max_gigabytes=5"]))
     for change in ("seed=1", "kernels.imaginable=1.2", "mapping/registration=mean", "trainer.max_epochs=3"):
         assert key != config_key(compose("train", [*JOB, change]))
-    trained = config_key(compose("train", JOB), sweep_jobs.EVALUATION_ONLY)
+    trained = config_key(compose("train", JOB), {Role.EVALUATION})
     for change in ("mapping/registration=mean", "evaluation.cell_widths=[1.0]", "evaluation.seed=3"):
-        assert trained == config_key(compose("train", [*JOB, change]), sweep_jobs.EVALUATION_ONLY)
+        assert trained == config_key(compose("train", [*JOB, change]), {Role.EVALUATION})
     for change in ("seed=1", "kernels.imaginable=1.2", "model=projected"):
-        assert trained != config_key(compose("train", [*JOB, change]), sweep_jobs.EVALUATION_ONLY)
+        assert trained != config_key(compose("train", [*JOB, change]), {Role.EVALUATION})
+
+
+def test_a_training_is_identified_by_what_determines_its_result() -> None:
+    others = set(Role) - {Role.TRAINING}
+    key = config_key(compose("train", JOB), others)
+    for change in ("logger=csv", "logger=null", "~callbacks.unit_images", "~evaluation.approaches.seg_gt"):
+        assert key == config_key(compose("train", [*JOB, change]), others), change
+    for change in ("callbacks.best_checkpoint.mode=min", "trainer.precision=bf16-mixed", "model.width=8"):
+        assert key != config_key(compose("train", [*JOB, change]), others), change
 
 
 def test_a_checkpoint_is_identified_by_its_resolved_path(tmp_path: Path) -> None:
