@@ -16,6 +16,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from imagination.data.datamodule import SceneData
 from imagination.data.replay_buffer import ReplayBuffer
+from imagination.runs import resume
 from imagination.runs.checkpoint import Checkpoint, read_state
 from imagination.runs.distributed import cluster_environment
 from imagination.runs.resume import lost_process_error
@@ -126,7 +127,8 @@ def test_one_process_in_a_slurm_job_trains(
     assert scalars(tmp_path / "outputs" / "chair_unet" / "latest", "test/loss")
 
 
-def test_the_error_of_a_lost_process_names_the_checkpoint(tmp_path: Path) -> None:
+def test_the_error_of_a_lost_process_names_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resume, "changes_of_this_command", list)  # no command is running
     assert f"imagination.train resume={tmp_path}" in str(lost_process_error(tmp_path))
 
 

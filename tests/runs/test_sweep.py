@@ -93,7 +93,12 @@ def test_a_key_depends_on_the_results_only() -> None:
 def test_a_training_is_identified_by_what_determines_its_result() -> None:
     others = set(Role) - {Role.TRAINING}
     key = config_key(compose("train", JOB), others)
-    for change in ("logger=csv", "logger=null", "~callbacks.unit_images", "~evaluation.approaches.imagination"):
+    for change in (
+        "logger=csv",
+        "logger=null",
+        "~callbacks.unit_images",
+        "~evaluation.approaches.imagination",
+    ):
         assert key == config_key(compose("train", [*JOB, change]), others), change
     for change in ("callbacks.best_checkpoint.mode=min", "trainer.precision=bf16-mixed", "model.width=8"):
         assert key != config_key(compose("train", [*JOB, change]), others), change
