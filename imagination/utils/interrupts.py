@@ -6,6 +6,7 @@ continue, and exits with code 130 or 143. A repeated signal does not disturb tha
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import signal
@@ -55,6 +56,13 @@ def install() -> None:
         for number in SIGNALS:
             if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, _handle)
+        atexit.register(_ignore)
+
+
+def _ignore() -> None:
+    """Ignore signals while the interpreter ends, which would otherwise replace the exit code of the command."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _handle(number: int, frame: FrameType | None) -> None:

@@ -117,6 +117,21 @@ print(saved)
     assert done.stdout.strip() == "['context', 'raised', 'checked']", done.stderr
 
 
+def test_a_signal_does_not_disturb_the_end_of_the_interpreter() -> None:
+    """The handlers of Python are gone when the objects of its modules are deleted."""
+    done = python("""
+import sys
+
+class Last:
+    def __del__(self, kill=os.kill, pid=os.getpid(), number=int(signal.SIGTERM)):
+        kill(pid, number)
+
+interrupts.last = Last()
+sys.exit(7)
+""")
+    assert done.returncode == 7
+
+
 def test_ignored_signals_stay_ignored() -> None:
     """As in a process that was started with nohup, or in the background of a script."""
     code = "signal.signal(signal.SIGINT, signal.SIG_IGN); interrupts.install(); os.kill(os.getpid(), signal.SIGINT)"
