@@ -11,7 +11,7 @@ import yaml
 
 from imagination.utils.errors import UserError
 
-MAX_BYTES = 2**19
+MAX_BYTES = 2**18
 """Largest size of a YAML file."""
 
 MAX_DEPTH = 40
