@@ -87,13 +87,12 @@ def map_frames(mapper: SemanticMapper, frames: Frames, viewer: Viewer) -> int:
         log.error("error: %s%s", error, "; the frames before it are mapped and saved" * bool(frames.mapped))
     except KeyboardInterrupt:
         status, again = interrupts.exit_code(), command_line("map", own_arguments(without=["hydra.run.dir"]))
-        interrupts.report(
-            f"The map of {frames.mapped} frames is saved; map the whole recording with: {again}"
-        )
+        saved = f"The map of {frames.mapped} frames is saved; " if frames.mapped else ""
+        interrupts.report(f"{saved}map the whole recording with: {again}")
+        if not frames.mapped:
+            sys.exit(status)
     if first_refusal:
         log.warning("Reason of the first refused frame: %s", first_refusal)
-    if interrupts.received() and not frames.mapped:
-        sys.exit(status)
     if not frames.mapped:
         raise UserError(f"recording: no frame was mapped. {frames.summary()}")
     log.info("%s", frames.summary())

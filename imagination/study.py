@@ -19,6 +19,7 @@ from imagination.config.key_roles import Role, role
 from imagination.config.overrides import assignment, override_group, override_key
 from imagination.config.validation import validate
 from imagination.evaluation.checkpoint_config import evaluation_config
+from imagination.models.task_kind import TaskKind
 from imagination.runs.command import command, run_command
 from imagination.runs.command_line import command_line, own_arguments
 from imagination.runs.finished_trainings import is_evaluation_only, train_or_reuse, training_config
@@ -101,10 +102,10 @@ def check_epochs(configs: Sequence[DictConfig]) -> None:
     Raises:
         UserError: if the numbers of epochs differ.
     """
-    epochs = {config.trainer.max_epochs for config in configs if config.model.predicts == "maps"}
+    epochs = {config.trainer.max_epochs for config in configs if config.model.predicts == TaskKind.MAPS}
     for config in configs:
         collected = config.callbacks.replay_buffer.collection_epochs
-        if config.model.predicts == "images" and epochs - {collected}:
+        if config.model.predicts == TaskKind.IMAGES and epochs - {collected}:
             raise UserError(
                 f"trainer.max_epochs: got {max(epochs)} for the units, expected hrnet.collection_epochs, {collected}, "
                 "whose views the baseline reuses; set the epochs in an experiment of the units, and hrnet.* to match"

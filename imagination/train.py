@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 from imagination.config.contracts import check_contracts
 from imagination.runs.command import command
 from imagination.runs.final_record import write_final_record
-from imagination.runs.folder import LAST, best_checkpoint
+from imagination.runs.folder import best_checkpoint
 from imagination.runs.logging import quiet_lightning
 from imagination.runs.preflight import check_accelerator, check_processes, out_of_memory_reported
 from imagination.runs.resume import Run, open_run
@@ -38,16 +38,18 @@ def main(config: DictConfig) -> float | None:
     with open_run(config) as run:
         log.info("Run folder: %s", run.folder)
         task, trainer, metrics = train(run)
+        if trainer.is_global_zero:
+            if run.config.test:
+                log.info("%s", write_single_view_scores(run.folder, task, metrics))
+            log.info("%s", summary(run, best_checkpoint(run.folder)))
+        if not run.config.train:
+            return None
         from imagination.runs.trainer import optimized_score  # imports torch, which errors before do without
 
         score = optimized_score(trainer, metrics, run.config.optimized_metric)
         if trainer.is_global_zero:
-            if run.config.test:
-                log.info("%s", write_single_view_scores(run, trainer, task))
-            log.info("%s", summary(run, best_checkpoint(run.folder)))
-            if run.config.train:
-                epochs = {"epochs": trainer.current_epoch, "max_epochs": run.config.trainer.max_epochs}
-                write_final_record(run.folder, score=score, **epochs)
+            epochs = {"epochs": trainer.current_epoch, "max_epochs": run.config.trainer.max_epochs}
+            write_final_record(run.folder, score=score, **epochs)
         return score
 
 
@@ -97,7 +99,7 @@ def build(run: Run) -> tuple[LitTask, SceneData, Trainer]:
     from hydra.utils import instantiate
     from lightning import seed_everything
 
-    from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters, read_state
+    from imagination.runs.checkpoint import check_readable, hyperparameters, read_state
     from imagination.runs.trainer import make_trainer
 
     config = run.config
@@ -111,9 +113,7 @@ def build(run: Run) -> tuple[LitTask, SceneData, Trainer]:
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     task = instantiate(config.model.module)
     saved = hyperparameters(config)
-    assert Checkpoint(run.folder / LAST, {KEY: saved}).config, (
-        "raises before the training if it cannot be read"
-    )
+    check_readable(saved)
     task.save_hyperparameters(saved, logger=False)  # for load_from_checkpoint
     return task, instantiate(config.data.module), make_trainer(config, first_step)
 

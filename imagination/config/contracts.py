@@ -9,44 +9,35 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import hydra
-import yaml
 from omegaconf import DictConfig, OmegaConf
 
-from imagination.config.plugin_registry import Plugin, targets_of
+from imagination.config.plugin_registry import Plugin
 from imagination.config.trust import nodes, texts_of
 from imagination.utils.errors import UserError
 
 
 class Contract(NamedTuple):
-    """Methods and attributes of a class.
+    """What the program uses of a class.
 
     Attributes:
-        name: dotted name of the class or protocol that documents them.
-        methods: positional arguments by name of the method.
+        name: dotted name of the class or protocol that documents the methods, with their arguments.
+        methods: names of the methods.
         attributes: names of the attributes.
     """
 
     name: str
-    methods: dict[str, tuple[str, ...]]
+    methods: tuple[str, ...]
     attributes: tuple[str, ...] = ()
 
 
-RULE = Contract("imagination.mapping.update_rules.UpdateRule", {"__call__": ("old", "new", "count")})
+RULE = Contract("imagination.mapping.update_rules.UpdateRule", ("__call__",))
 
 CONTRACTS = {
     "mapping.registration": RULE,
     "evaluation.approaches.*.rule": RULE,
-    "model.unit": Contract(
-        "imagination.models.unit.Unit", {"forward": ("rgb", "depth", "occupied", "seen")}, ("categories",)
-    ),
-    "model.encoder": Contract(
-        "imagination.models.encoders.TimmEncoder", {"forward": ("rgb",)}, ("channels",)
-    ),
-    "model.loss": Contract(
-        "imagination.models.losses.Loss",
-        {"__call__": ("logits", "label", "neighbourhood", "counts")},
-        ("in_parts",),
-    ),
+    "model.unit": Contract("imagination.models.unit.Unit", ("forward",), ("categories",)),
+    "model.encoder": Contract("imagination.models.encoders.TimmEncoder", ("forward",), ("channels",)),
+    "model.loss": Contract("imagination.models.losses.Loss", ("__call__",), ("in_parts",)),
 }
 """Contracts by place in the config (* is any key)."""
 
@@ -70,36 +61,31 @@ def check_contracts(config: DictConfig) -> None:
 
 
 def check_plugin(plugin: Plugin) -> str:
-    """Import the packages of a plugin and each `_target_` of its conf tree, and check their contracts.
+    """Import the packages of a plugin and each `_target_` of its conf tree, and check the contracts of the targets.
 
     Returns:
         the problem, or an empty string.
     """
-    assert plugin.conf is not None
     try:
         for package in plugin.packages:
             importlib.import_module(package)
-        for path in sorted(plugin.conf.rglob("*.yaml")):
-            for target in targets_of(yaml.safe_load(path.read_text())):
-                hydra.utils.get_object(target)
         return plugin_problem(plugin.conf)
     except Exception as error:  # code of a plugin may raise any type of exception
         return f"{type(error).__name__}: {error}"
 
 
-def plugin_problem(conf: Path) -> str:
+def plugin_problem(conf: Path | None) -> str:
     """Return the first violation of a contract in a plugin's conf tree, without creating objects; "" if there is none.
 
     An attribute counts as present if the class has it or a method assigns it to `self`.
     """
     for key, target in texts_of(conf):
-        place = key.removesuffix("._target_")
-        contract = _contract_of(place)
-        if place == key or contract is None:
+        if not key.endswith("._target_"):
             continue
-        cls = hydra.utils.get_object(target)
-        missing = [*_missing_methods(cls, contract), *_never_assigned(cls, contract)]
-        if missing:
+        place, cls = key.removesuffix("._target_"), hydra.utils.get_object(target)
+        if (contract := _contract_of(place)) is None:
+            continue
+        if missing := [*_missing_methods(cls, contract), *_never_assigned(cls, contract)]:
             return f"{place}: got {target}, {_problem(missing, contract)}"
     return ""
 
@@ -114,7 +100,9 @@ def _problem(missing: list[str], contract: Contract) -> str:
 
 def _missing_methods(cls: Any, contract: Contract) -> Iterator[str]:
     """Yield the methods that a class lacks, or that cannot be called with the arguments of the contract."""
-    for name, arguments in contract.methods.items():
+    documented = hydra.utils.get_object(contract.name)
+    for name in contract.methods:
+        _, *arguments = inspect.signature(getattr(documented, name)).parameters  # without self
         # the call of a torch.nn.Module accepts anything and passes it on to `forward`
         own = "forward" if name == "__call__" and hasattr(cls, "forward") else name
         method = inspect.getattr_static(cls, own, None)

@@ -37,7 +37,8 @@ class Key(NamedTuple):
 
     Attributes:
         role: effect of the key.
-        low, high: bounds of a number; integer bounds require a whole number. None if the value is not a number.
+        low, high: bounds of a number, or of each number in a list; integer bounds require whole numbers. None if the
+            value is not a number.
         unit: unit of the number.
         symbol: symbol or name in the paper.
         old: earlier names, which are refused with the current one.
@@ -65,6 +66,7 @@ def _training(
 
 
 LARGE = 10**9
+"""Upper bound of numbers of epochs."""
 
 KEYS: Mapping[str, Key] = {
     # experiment
@@ -100,9 +102,8 @@ KEYS: Mapping[str, Key] = {
     "data.batch_size": _training(1, 100_000, "views", "B", ("scale.batch_size",)),
     "data.micro_batches": _training(1, 100_000, "micro-batches", old=("scale.accumulate",)),
     "data.workers": Key(Role.EXECUTION, 0, 1024, "processes", old=("scale.workers",), resumable=True),
-    "data.shards": Key(
-        Role.TRAINING, resumable=True
-    ),  # the folder may have been moved; reading it checks its kind
+    # the folder of shards may have been moved; reading it checks its kind
+    "data.shards": Key(Role.TRAINING, resumable=True),
     "data.module.shard_cache": Key(Role.LOCATION),
     "data.module.shard_gigabytes": Key(Role.EXECUTION),
     "data.module.observer": Key(Role.LOCATION),  # set data.observer instead
@@ -121,7 +122,6 @@ KEYS: Mapping[str, Key] = {
     "callbacks.replay_buffer.collection_epochs": _training(
         1, LARGE, "epochs", old=("callbacks.replay_buffer.collecting_rounds",)
     ),
-    "callbacks.replay_buffer": Key(Role.TRAINING),
     "callbacks.early_stopping.min_delta": _training(
         0.0, 1.0, old=("callbacks.early_stopping.margin", "callbacks.until_flat.margin")
     ),
@@ -179,7 +179,7 @@ KEYS: Mapping[str, Key] = {
     "trainer.*": Key(Role.TRAINING),
     "trainer": Key(Role.EXECUTION),  # the group selects hardware
     # evaluation
-    "evaluation.cell_widths": Key(Role.EVALUATION, unit="m", symbol="cell width", old=("scale.cell_widths",)),
+    "evaluation.cell_widths": Key(Role.EVALUATION, 0.1, 100.0, "m", "cell width", ("scale.cell_widths",)),
     "evaluation.viewpoint_sets": Key(Role.EVALUATION, 1, 10_000, old=("scale.viewpoint_sets",)),
     "evaluation.orientations": Key(
         Role.EVALUATION, 1, 1000, symbol="orientations", old=("scale.orientations",)
@@ -243,9 +243,6 @@ KEYS: Mapping[str, Key] = {
 
 A key that is not listed has the role of the longest listed node that contains it. Without such a node it changes the
 training, as the keys of plugins do."""
-
-CELL_WIDTH = (0.1, 100.0, "m")
-"""Range of the values in evaluation.cell_widths."""
 
 OPTIONAL_GROUPS = ("experiment", "sweep", "hparams_search", "study", "debug")
 """Groups without a default option. `+experiment=chair_unet` is read as `experiment=chair_unet`."""

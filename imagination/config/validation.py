@@ -2,15 +2,19 @@
 
 import re
 import warnings
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from imagination.config.key_roles import CELL_WIDTH, KEYS
+from imagination.config.key_roles import KEYS
 from imagination.config.trainer_keys import check_trainer
 from imagination.utils.errors import UserError, check_choice, check_range
 from imagination.utils.precision import PRECISIONS
+
+LISTS = ("evaluation.cell_widths",)
+"""Keys whose value is a list of numbers."""
 
 
 def validate(config: DictConfig) -> None:
@@ -26,20 +30,14 @@ def validate(config: DictConfig) -> None:
     for key in sorted(read, key=partial(_is_reference, config)):  # values before the references to them
         row = KEYS[key]
         if row.low is not None and row.high is not None:
-            _check_number(key, OmegaConf.select(config, key), row.low, row.high, row.unit)
+            for value in _numbers(key, OmegaConf.select(config, key)):
+                _check_number(key, value, row.low, row.high, row.unit)
     for key in ("trainer.precision", "evaluation.precision"):
         if _is_read(config, key):
             check_choice(key, OmegaConf.select(config, key), PRECISIONS)
     if not isinstance(config.model.tta_hflip, bool):
         raise UserError(f"model.tta_hflip: got {config.model.tta_hflip!r}, expected true or false")
     _check_baseline(config.hrnet)
-    widths = config.evaluation.cell_widths
-    if not isinstance(widths, ListConfig) or not widths:
-        raise UserError(
-            f"evaluation.cell_widths: got {widths!r}, expected a list of metres such as [3.0, 2.5]"
-        )
-    for width in widths:
-        _check_number("evaluation.cell_widths", width, *CELL_WIDTH)
     for extent in (config.ego.extent, config.world.extent):
         cells_of(extent, config.ego.resolution)
     if OmegaConf.select(config, "trainer") is not None:
@@ -58,6 +56,15 @@ def validate(config: DictConfig) -> None:
             f"({config.kernels.neighbourhood} m): W_gamma then covers label cells outside the imaginable mask",
             stacklevel=2,
         )
+
+
+def _numbers(key: str, value: Any) -> Sequence[Any]:
+    """Return the numbers in a list of metres, or another value alone."""
+    if key not in LISTS:
+        return [value]
+    if not isinstance(value, ListConfig) or not value:
+        raise UserError(f"{key}: got {value!r}, expected a list of metres such as [3.0, 2.5]")
+    return value
 
 
 def _is_read(config: DictConfig, key: str) -> bool:

@@ -42,7 +42,7 @@ class Network(Protocol):
 
 
 @runtime_checkable
-class Mapping(Network, Protocol):
+class MapNetwork(Network, Protocol):
     """Network that predicts egocentric maps, such as `LitUnit`."""
 
     def predict(self, batch: Batch) -> Prediction:
@@ -50,7 +50,7 @@ class Mapping(Network, Protocol):
 
 
 @runtime_checkable
-class Segmentation(Network, Protocol):
+class SegmentationNetwork(Network, Protocol):
     """Network that segments images, such as `LitSegmentation`."""
 
     def segment(self, rgb: Tensor, rows: int, columns: int) -> Tensor:
@@ -81,8 +81,10 @@ class Predictor:
         precision: str = "32-true",
     ) -> None:
         self.models = list(models)
-        self.units = [cast(Mapping, model) for model in models if model.kind is TaskKind.MAPS]
-        self.segmenters = [cast(Segmentation, model) for model in models if model.kind is TaskKind.IMAGES]
+        self.units = [cast(MapNetwork, model) for model in models if model.kind is TaskKind.MAPS]
+        self.segmenters = [
+            cast(SegmentationNetwork, model) for model in models if model.kind is TaskKind.IMAGES
+        ]
         self.batch_size = batch_size
         self.precision = resolved(precision)
         predicted = [name for unit in self.units for name in unit.categories]

@@ -20,7 +20,7 @@ MAIN = (
 
 def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
     """Write the hyperparameters of a run to its loggers; TensorBoard's HParams tab shows the final scores with them."""
-    shown = hyperparameters(config)
+    shown = logged_hyperparameters(config)
     scores = final_scores(trainer.callback_metrics, list(config.evaluation.approaches))
     for logger in trainer.loggers:
         if isinstance(logger, TensorBoardLogger):
@@ -30,7 +30,7 @@ def record_hyperparameters(trainer: Trainer, config: DictConfig) -> None:
             logger.save()
 
 
-def hyperparameters(config: DictConfig) -> dict[str, Any]:
+def logged_hyperparameters(config: DictConfig) -> dict[str, Any]:
     """Return the values of `MAIN` and of the run's overrides by dotted key; a node with a `_target_` by its class."""
     values = dict(leaves(OmegaConf.to_container(config, resolve=True)))  # type: ignore[arg-type]
     chosen = {override_key(text): text.partition("=")[2] for text in config.choices}

@@ -43,6 +43,15 @@ def hyperparameters(config: DictConfig) -> dict[str, Any]:
     return {"choices": values.pop("choices"), "values": values}
 
 
+def check_readable(saved: dict[str, Any]) -> None:
+    """Check before a training that its checkpoints can be read again.
+
+    Raises:
+        UserError: if the config cannot be composed from the hyperparameters.
+    """
+    _ = Checkpoint(LAST, {KEY: saved}).config
+
+
 class CheckpointFiles(TorchCheckpointIO):
     """Checkpoint IO that writes files atomically and reads plain data only."""
 

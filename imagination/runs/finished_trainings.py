@@ -11,9 +11,10 @@ from imagination.config.key_roles import Role, role
 from imagination.config.overrides import assignment, override_group, override_key, result_overrides
 from imagination.models.task_kind import TaskKind
 from imagination.runs.command import run_command
+from imagination.runs.composed_config import load_composed_config
 from imagination.runs.final_record import read_final_record
 from imagination.runs.folder import BEST, COMPOSED, LAST
-from imagination.runs.resume import PROGRAM, load_composed_config
+from imagination.runs.resume import PROGRAM
 from imagination.runs.sweep_jobs import config_key
 from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError

@@ -7,21 +7,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.key_roles import KEYS, Role, is_resumable, role
-from imagination.config.overrides import assignment, leaves, override_key, result_overrides
-from imagination.config.references import check_references
+from imagination.config.overrides import assignment, override_key, result_overrides
 from imagination.config.trust import check_targets
 from imagination.config.unknown_keys import is_group
 from imagination.config.user_messages import explain
-from imagination.config.validation import validate
 from imagination.config.written_paths import check_paths
 from imagination.runs.command_line import command_line
+from imagination.runs.composed_config import keep_references, read_composed_config, write_composed_config
 from imagination.runs.distributed import exit_with_parent, is_process_lost, share_run_folder
 from imagination.runs.final_record import remove_final_record
 from imagination.runs.folder import (
@@ -49,7 +48,6 @@ from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError, WorkerDiedError
 from imagination.utils.process_group import global_rank
 from imagination.utils.progress import console
-from imagination.utils.tabular import read_yaml
 
 log = logging.getLogger(__name__)
 
@@ -58,9 +56,6 @@ PROGRAM = (
     *("utils/precision.py", "utils/process_group.py"),
 )
 """Packages and modules whose code determines the result of a training."""
-
-END = "...\n"
-"""Last line of a composed config (end of a YAML document); a file without it is truncated."""
 
 
 class Run(NamedTuple):
@@ -220,7 +215,7 @@ def begin_run(folder: Path, config: DictConfig) -> Run:
         check_targets(config)
     except UserError as error:
         log.warning("%s. This run can be trained, but not resumed", error)
-    write_text(folder / COMPOSED, OmegaConf.to_yaml(config) + END)
+    write_composed_config(folder / COMPOSED, config)
     write_text(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
     if in_sweep():
         return Run(folder, config, None)
@@ -312,46 +307,3 @@ def resume_run(folder: Path, config: DictConfig) -> Run:
         log.warning("%s: no epoch was completed, so the run starts from the beginning", folder)
         return Run(folder, saved, None, folder)
     return Run(folder, saved, checkpoint, folder)
-
-
-def keep_references(config: DictConfig, key: str) -> None:
-    """Replace the references to a key by its value, so that a change of the key does not change them.
-
-    For example, the learning-rate schedule refers to trainer.max_epochs, but keeps its length when the training is
-    extended.
-    """
-    value = OmegaConf.select(config, key)
-    values: Any = OmegaConf.to_container(config)
-    for other, reference in leaves(values):
-        if reference == f"${{{key}}}" and role(other) == Role.TRAINING:
-            OmegaConf.update(config, other, value)
-
-
-def read_composed_config(path: Path) -> DictConfig:
-    """Read and check the composed config of a run.
-
-    Raises:
-        UserError: if the file is damaged or holds invalid values or untrusted targets.
-    """
-    saved = load_composed_config(path)
-    try:
-        check_targets(saved)
-        validate(saved)
-    except UserError:
-        raise
-    except Exception as error:  # validation accesses nodes that may be missing or of another type
-        raise UserError(f"config {path}: is truncated or damaged ({error}); start a new run") from error
-    return saved
-
-
-def load_composed_config(path: Path) -> DictConfig:
-    """Load the composed config of a run, which nothing may be instantiated from before it is checked.
-
-    Raises:
-        UserError: if the file is damaged, or too large with its references replaced.
-    """
-    values = read_yaml(path, last_line=END)
-    check_references(values)
-    saved = OmegaConf.create(values)
-    OmegaConf.set_struct(saved, True)
-    return saved

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,24 +14,26 @@ from imagination.utils.atomic_io import write_text
 from imagination.utils.timing import stage_timer
 
 if TYPE_CHECKING:
-    from lightning import Trainer
-
     from imagination.models.lit_task import LitTask
 
 
-def write_single_view_scores(run: Run, trainer: Trainer, task: LitTask) -> str:
+def write_single_view_scores(folder: Path, task: LitTask, scores: Mapping[str, float]) -> str:
     """Write the scores on single views of test scenes; return a message with the IoU and the number of samples.
 
     The scores of a unit (egocentric maps) are written to tables/ego.csv, those of a segmentation network (images) to
     tables/first_person.csv.
+
+    Args:
+        folder: run folder.
+        task: trained task.
+        scores: last logged values of the run by name.
     """
-    scores = {name: float(value) for name, value in trainer.callback_metrics.items()}
     table = task.score_table
     lines = [f"{table.column},iou,precision,recall"]
     for name, suffix in table.suffixes.items():
         values = (f"{scores[f'test/{metric}{suffix}']:.4f}" for metric in ("iou", "precision", "recall"))
         lines.append(",".join([name, *values]))
-    write_text(run.folder / "tables" / f"{table.name}.csv", "\n".join(lines) + "\n")
+    write_text(folder / "tables" / f"{table.name}.csv", "\n".join(lines) + "\n")
     ious = ", ".join(f"{name} {scores[f'test/iou{suffix}']:.3f}" for name, suffix in table.suffixes.items())
     message = f"{table.title} IoU on views of test scenes by {table.column}: {ious} (tables/{table.name}.csv)"
     if "data/collected_views" in scores:  # missing if a finished run is only tested again

@@ -162,6 +162,6 @@ def optimized_score(trainer: Trainer, metrics: Mapping[str, float], metric: str)
         score = getattr(callback, "best_model_score", None)
         if getattr(callback, "monitor", None) == metric and score is not None:
             return float(score)
-    if metric not in metrics and metric != "val/iou":
+    if metric not in metrics:
         log.warning("optimized_metric: got %r, expected one of: %s", metric, ", ".join(sorted(metrics)))
     return metrics.get(metric)

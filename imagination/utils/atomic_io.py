@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from errno import EACCES, EDQUOT, EFBIG, ENOSPC, EROFS
+from errno import EACCES, EDQUOT, EFBIG, ENOSPC, ENOTDIR, EROFS
 from pathlib import Path
 from typing import Any
 
@@ -55,11 +55,11 @@ def replacing(path: Path, sync: bool = True) -> Iterator[Path]:
 
 @contextmanager
 def write_errors_reported(path: Path) -> Iterator[None]:
-    """Raise CannotWriteError, with the path and the remedy, if the disk is full or read-only."""
+    """Raise CannotWriteError, with the path and a remedy, if the disk is full or read-only or a file is in the way."""
     try:
         yield
     except OSError as error:
-        if error.errno not in (ENOSPC, EDQUOT, EFBIG, EACCES, EROFS):
+        if error.errno not in (ENOSPC, EDQUOT, EFBIG, EACCES, EROFS, ENOTDIR):
             raise
         raise CannotWriteError(
             f"could not write {path}: {error.strerror}; free some space or set paths.outputs and paths.cache to "

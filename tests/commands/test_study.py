@@ -8,6 +8,7 @@ from omegaconf import OmegaConf
 
 from imagination.config.user_messages import explain
 from imagination.runs.command import run_command
+from imagination.runs.composed_config import END
 from imagination.runs.final_record import FINAL, write_final_record
 from imagination.runs.finished_trainings import (
     is_evaluation_only,
@@ -16,7 +17,6 @@ from imagination.runs.finished_trainings import (
     training_key,
 )
 from imagination.runs.folder import COMPOSED
-from imagination.runs.resume import END
 from imagination.study import check_evaluation
 from imagination.utils.errors import UserError
 from tests.conftest import Command

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from imagination.callbacks.replay_buffer import parts
-from imagination.models.losses import BCEDice, WeightedBCE, imagination_loss
+from imagination.models.losses import BCEDice, WeightedBCE, batch_counts, imagination_loss
 from tests.helpers.batches import random_batch
 
 
@@ -24,6 +25,11 @@ def masks(views: int, cells: int, label: dict[int, int], around: dict[int, int])
     for view, count in around.items():
         maps[1, view, 0, label.get(view, 0) : label.get(view, 0) + count] = 1
     return maps[0].view(views, 1, cells, cells), maps[1].view(views, 1, cells, cells)
+
+
+def split(batch: dict[str, Tensor], count: int) -> Iterator[dict[str, Tensor]]:
+    """Yield micro-batches with the counts of the whole batch, as LitUnit.batch_totals adds them."""
+    return parts(batch, count, lambda whole: {"counts": batch_counts(whole["label"], whole["neighbourhood"])})
 
 
 def test_by_hand_with_no_cap_and_counts_of_the_batch() -> None:
@@ -123,7 +129,7 @@ def test_parts_of_a_batch_add_up_to_it(count: int) -> None:
     whole, weights = imagination_loss(logits, batch["label"], batch["neighbourhood"])
     (expected,) = torch.autograd.grad(whole, logits)
     total, gradient = torch.zeros(()), torch.zeros_like(logits)
-    for part in parts({**batch, "logits": logits}, count):
+    for part in split({**batch, "logits": logits}, count):
         loss, part_weights = imagination_loss(
             part["logits"], part["label"], part["neighbourhood"], counts=part["counts"]
         )
@@ -132,7 +138,7 @@ def test_parts_of_a_batch_add_up_to_it(count: int) -> None:
         gradient = gradient + torch.autograd.grad(loss, logits)[0]
     torch.testing.assert_close(total, whole.detach())
     torch.testing.assert_close(gradient, expected)
-    first = next(parts(batch, count))
+    first = next(split(batch, count))
     _, own = imagination_loss(torch.zeros(first["label"].shape), first["label"], first["neighbourhood"])
     assert not torch.allclose(own.alpha, weights.alpha)  # the weights of the part alone differ
 
@@ -155,7 +161,7 @@ def test_weighted_bce_equals_the_function() -> None:
     assert logged["w_alpha"] == weights.alpha.mean() and logged["w_gamma"] == weights.gamma.mean()
     own = [
         WeightedBCE(7.0, 3.0)(part["logits"], part["label"], part["neighbourhood"], part["counts"])
-        for part in parts({**batch, "logits": logits}, 2)
+        for part in split({**batch, "logits": logits}, 2)
     ]
     torch.testing.assert_close(own[0].loss + own[1].loss, expected)
     assert all(part.parts["w_gamma"] == weights.gamma.mean() for part in own)

@@ -3,7 +3,7 @@
 import pytest
 
 from imagination.config.compose import compose
-from imagination.reporting.hyperparameters import final_scores, hyperparameters
+from imagination.reporting.hyperparameters import final_scores, logged_hyperparameters
 
 JOB = ["experiment=chair_unet", "scale=test"]
 
@@ -19,7 +19,8 @@ JOB = ["experiment=chair_unet", "scale=test"]
 )
 def test_hyperparameters_name_classes(key: str, choices: dict[str, str]) -> None:
     shown = {
-        choice: hyperparameters(compose("train", [*JOB, choice, "paths.run=."]))[key] for choice in choices
+        choice: logged_hyperparameters(compose("train", [*JOB, choice, "paths.run=."]))[key]
+        for choice in choices
     }
     assert shown == choices
 
@@ -27,7 +28,7 @@ def test_hyperparameters_name_classes(key: str, choices: dict[str, str]) -> None
 def test_what_was_chosen_is_shown_with_a_dozen_others() -> None:
     config = compose("train", [*JOB, "paths.run=."])
     config.choices = [*JOB, "model/encoder=resnet18", "model.loss.alpha_max=12.5", "kernels.imaginable=0.8"]
-    shown = hyperparameters(config)
+    shown = logged_hyperparameters(config)
     assert (shown["model.loss.alpha_max"], shown["kernels.imaginable"]) == (config.model.loss.alpha_max, 1.0)
     assert (shown["experiment"], shown["scale"], shown["model/encoder"]) == ("chair_unet", "test", "resnet18")
     assert (shown["name"], shown["unit_categories"]) == ("chair_unet", "['chair']")

@@ -17,9 +17,10 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from imagination.callbacks.model_checkpoint import MovableCheckpoint
 from imagination.config.plugin_registry import core_conf
 from imagination.config.search_path import register_plugins
+from imagination.runs.composed_config import END
 from imagination.runs.finished_trainings import newest_run
 from imagination.runs.folder import COMPOSED, LOG, check_links
-from imagination.runs.resume import END, open_run
+from imagination.runs.resume import open_run
 from imagination.train import build
 from imagination.utils.errors import UserError
 from tests.utils.test_cache import make_victim, snapshot

@@ -196,14 +196,6 @@ def test_an_invalid_largest_size_is_refused(max_bytes: int) -> None:
         ZenohTransport("ros2_humble", [], [], max_bytes)
 
 
-def test_without_a_plugin_the_error_names_plugins_ros(monkeypatch: pytest.MonkeyPatch) -> None:
-    from imagination import serve
-
-    monkeypatch.setattr(serve, "discover", list)
-    with pytest.raises(SystemExit, match="serve: .*plugins/ros"):
-        serve.main()
-
-
 def test_without_rclpy_the_error_names_the_installation(command: Command, unit_file: Path) -> None:
     try:
         import rclpy  # noqa: F401

@@ -14,7 +14,7 @@ from imagination.config.compose import compose
 from imagination.config.contracts import check_plugin
 from imagination.config.plugin_registry import Plugin, _examine
 from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters
-from imagination.runs.resume import END, read_composed_config
+from imagination.runs.composed_config import END, read_composed_config
 from imagination.utils.cache import MAGIC, DamagedError, decode, encode
 from tests.robustness.parsers.parser import Parser, resealed
 
