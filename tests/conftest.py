@@ -1,5 +1,6 @@
 """Fixtures and settings of all tests: checks of array shapes, one thread per process, commands as subprocesses."""
 
+import importlib
 import os
 import subprocess
 import sys
@@ -34,6 +35,29 @@ def command(tmp_path: Path) -> Command:
             text=True,
             timeout=timeout,
         )
+
+    return run
+
+
+@pytest.fixture
+def command_in_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Command:
+    """Run a command in this process, which has imported torch already, and in an empty folder.
+
+    For commands that end with a user error; others leave loggers, workers and signal handlers behind.
+    """
+
+    def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        module = importlib.import_module(f"imagination.{name}")
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setenv("HYDRA_FULL_ERROR", "1")  # restores the environment that the command changes
+        monkeypatch.setattr("imagination.utils.interrupts.install", lambda: None)
+        monkeypatch.setattr(sys, "argv", [f"imagination/{name}.py", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            module.main()
+        assert isinstance(ended.value.code, int)
+        return subprocess.CompletedProcess([name, *arguments], ended.value.code, *capfd.readouterr())
 
     return run
 

@@ -17,7 +17,7 @@ from imagination.utils.errors import UserError
 
 
 class Contract(NamedTuple):
-    """What the program uses of a class.
+    """Methods and attributes of a class that the program uses.
 
     Attributes:
         name: dotted name of the class or protocol that documents the methods, with their arguments.

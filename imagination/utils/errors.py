@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
+from typing import Any
 
 
 class UserError(ValueError):
@@ -33,7 +34,7 @@ def require_extra(package: str, extra: str) -> None:
 
 
 def check_range(
-    name: str, value: float, low: float, high: float, unit: str = "", *, open_low: bool = False
+    name: str, value: Any, low: float, high: float, unit: str = "", *, open_low: bool = False
 ) -> float:
     """Return `value` if it is finite and in [low, high] (in (low, high] with `open_low`).
 

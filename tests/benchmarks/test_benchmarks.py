@@ -157,6 +157,7 @@ def single_call(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "medians", once)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("single_call")
 def test_quick_sections_measure_positive_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(

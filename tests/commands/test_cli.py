@@ -21,14 +21,9 @@ from tests.runs.test_resume import points
 
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
-COMBINED = [name for name in EXPERIMENTS if name != "segmentation_hrnet"]
-"""Experiments whose parts are covered by this one, the whole run of chair_unet, and the contract tests of units."""
 
-
-@pytest.mark.parametrize(
-    "experiment",
-    [pytest.param(name, marks=pytest.mark.slow) if name in COMBINED else name for name in EXPERIMENTS],
-)
+@pytest.mark.slow  # test_a_whole_run, and the tests of units and segmentation networks, cover the parts
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_experiments_run_fast(command: Command, experiment: str) -> None:
     done = command("train", f"+experiment={experiment}", "scale=test", "trainer.fast_dev_run=true")
     assert done.returncode == 0, done.stderr
@@ -81,9 +76,9 @@ def test_a_whole_run(command: Command, tmp_path: Path) -> None:
     ],
 )
 def test_user_errors_get_one_message(
-    command: Command, tmp_path: Path, arguments: list[str], messages: list[str]
+    command_in_process: Command, tmp_path: Path, arguments: list[str], messages: list[str]
 ) -> None:
-    done = command("train", *arguments)
+    done = command_in_process("train", *arguments)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     lines = [
@@ -94,8 +89,8 @@ def test_user_errors_get_one_message(
     assert not (tmp_path / "outputs").exists()
 
 
-def test_a_user_error_after_the_start_gets_one_message(command: Command, tmp_path: Path) -> None:
-    done = command("train", "scale=test", "model/encoder=timm", "model.encoder.name=resnet1888")
+def test_a_user_error_after_the_start_gets_one_message(command_in_process: Command, tmp_path: Path) -> None:
+    done = command_in_process("train", "scale=test", "model/encoder=timm", "model.encoder.name=resnet1888")
     assert done.returncode == 2
     assert "Traceback" not in done.stderr and "resnet18" in done.stderr
     runs = tmp_path / "outputs" / "custom"
@@ -103,8 +98,8 @@ def test_a_user_error_after_the_start_gets_one_message(command: Command, tmp_pat
     assert not (runs / "latest").is_symlink()  # the run was refused: there is nothing to resume
 
 
-def test_a_missing_accelerator_is_refused(command: Command) -> None:
-    done = command("train", "scale=test", "trainer.accelerator=tpu")
+def test_a_missing_accelerator_is_refused(command_in_process: Command) -> None:
+    done = command_in_process("train", "scale=test", "trainer.accelerator=tpu")
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "trainer.accelerator: got 'tpu'" in done.stderr and "auto, cpu" in done.stderr
 
@@ -223,8 +218,8 @@ def test_a_terminated_run_reports_how_to_resume(tmp_path: Path) -> None:
     assert "Interrupted" in text and "imagination.train resume=outputs/chair_unet/" in text
 
 
-def test_an_evaluation_without_a_checkpoint_is_refused(command: Command) -> None:
-    done = command("evaluate", "ckpt=[]")
+def test_an_evaluation_without_a_checkpoint_is_refused(command_in_process: Command) -> None:
+    done = command_in_process("evaluate", "ckpt=[]")
     assert done.returncode == 2 and done.stderr.startswith("error: ckpt: got none"), done.stderr
 
 

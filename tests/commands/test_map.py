@@ -137,10 +137,10 @@ def test_the_viewer_is_closed_if_the_map_cannot_be_saved(
 
 
 def test_a_recording_without_mapped_frames_is_an_error(
-    command: Command, tmp_path: Path, unit_file: Path, frames: list[RecordedFrame]
+    command_in_process: Command, tmp_path: Path, unit_file: Path, frames: list[RecordedFrame]
 ) -> None:
     record_tum(tmp_path / "tum", frames, CAMERA)
-    done = command("map", "recording.path=tum", K, f"unit={unit_file}", "floor_height=-3")
+    done = command_in_process("map", "recording.path=tum", K, f"unit={unit_file}", "floor_height=-3")
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "recording: " in done.stderr and "0 frames mapped, 12 skipped" in done.stderr
     assert re.search(r"mount_height: .*4\.25 m.* 1\.25", " ".join(done.stderr.split()))
@@ -156,8 +156,8 @@ def test_a_recording_without_mapped_frames_is_an_error(
         (["recording.path=x", "unit=a.onnx,b.onnx", "-m"], "-m: imagination.map "),
     ],
 )
-def test_user_errors_get_one_message(command: Command, arguments: list[str], message: str) -> None:
-    done = command("map", *arguments)
+def test_user_errors_get_one_message(command_in_process: Command, arguments: list[str], message: str) -> None:
+    done = command_in_process("map", *arguments)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert message in " ".join(done.stderr.split())
 

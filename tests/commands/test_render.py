@@ -44,9 +44,9 @@ def test_arrays_and_images_of_every_stage_are_written(command: Command, tmp_path
     ],
 )
 def test_invalid_values_are_refused(
-    command: Command, tmp_path: Path, arguments: list[str], message: str
+    command_in_process: Command, tmp_path: Path, arguments: list[str], message: str
 ) -> None:
-    result = command("render", "scale=test", *arguments)
+    result = command_in_process("render", "scale=test", *arguments)
     assert result.returncode == 2 and message in result.stderr and "Traceback" not in result.stderr
     assert not list(tmp_path.rglob("*.npz"))
 

@@ -56,7 +56,7 @@ def test_overrides_choose_the_folder_and_the_page(
         (["folder=a", "--docs"], "--docs"),
     ],
 )
-def test_user_errors_get_one_message(command: Command, arguments: list[str], message: str) -> None:
-    done = command("report", *arguments)
+def test_user_errors_get_one_message(command_in_process: Command, arguments: list[str], message: str) -> None:
+    done = command_in_process("report", *arguments)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert message in done.stderr

@@ -16,8 +16,8 @@ from tests.conftest import Command
         (["unit=a.onnx,b.onnx", "-m"], "-m: imagination.serve "),
     ],
 )
-def test_user_errors_get_one_message(command: Command, arguments: list[str], message: str) -> None:
-    done = command("serve", *arguments)
+def test_user_errors_get_one_message(command_in_process: Command, arguments: list[str], message: str) -> None:
+    done = command_in_process("serve", *arguments)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert done.stderr.startswith("error: ") and message in done.stderr
 

@@ -180,16 +180,16 @@ def test_invalid_settings_are_refused_before_the_trainings(
     assert message in (explain(caught.value) or "")
 
 
-def test_an_unknown_comparison_trains_nothing(command: Command, tmp_path: Path) -> None:
-    done = command("study", "scale=test", "compare=nothing", "experiments=[chair_unet]")
+def test_an_unknown_comparison_trains_nothing(command_in_process: Command, tmp_path: Path) -> None:
+    done = command_in_process("study", "scale=test", "compare=nothing", "experiments=[chair_unet]")
     assert done.returncode == 2 and "study: got 'nothing'" in done.stderr, done.stderr
     assert not (tmp_path / "outputs").exists()
 
 
 @pytest.mark.parametrize("word", ["-m", "+sweep=weights", "+hparams_search=optuna"])
-def test_sweeps_are_refused(command: Command, word: str) -> None:
+def test_sweeps_are_refused(command_in_process: Command, word: str) -> None:
     """The trainings of each job would be a sweep again."""
-    done = command("study", "scale=test", word)
+    done = command_in_process("study", "scale=test", word)
     assert done.returncode == 2 and "-m: imagination.study " in done.stderr
 
 

@@ -77,8 +77,8 @@ def test_renaming_is_final() -> None:
         assert renamed(name) == name
 
 
-def test_commands_refuse_old_names(command: Command) -> None:
-    done = command("train", "+experiment=chair_unet", "scale=test", "scale.rounds=1")
+def test_commands_refuse_old_names(command_in_process: Command) -> None:
+    done = command_in_process("train", "+experiment=chair_unet", "scale=test", "scale.rounds=1")
     assert done.returncode == 2
     assert "scale.rounds" in done.stderr and "trainer.max_epochs=1" in done.stderr
 

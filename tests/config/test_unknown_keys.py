@@ -67,8 +67,10 @@ def test_the_optional_groups_are_those_without_a_default() -> None:
     assert optional == set(OPTIONAL_GROUPS)
 
 
-def test_a_command_refuses_a_misspelt_name_before_it_starts(command: Command, tmp_path: Path) -> None:
-    done = command("train", "+experiment=chair_unet", "scale=test", "+sede=3")
+def test_a_command_refuses_a_misspelt_name_before_it_starts(
+    command_in_process: Command, tmp_path: Path
+) -> None:
+    done = command_in_process("train", "+experiment=chair_unet", "scale=test", "+sede=3")
     assert done.returncode == 2
     assert "sede" in done.stderr and "seed" in done.stderr
     assert not (tmp_path / "outputs").exists()

@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -34,15 +35,15 @@ from tests.utils.test_cache import make_victim, snapshot
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory: pytest.TempPathFactory, unit_file: Path) -> Path:
     """Folder with chair.ckpt, bed.ckpt (another backbone), chair.onnx, both.onnx and both.pt2."""
     folder = tmp_path_factory.mktemp("units")
-    chair = Checkpoint.read(make_checkpoint(folder / "chair.ckpt", threshold=0.8))
+    shutil.copytree(unit_file.parent, folder, dirs_exist_ok=True)
+    chair = Checkpoint.read(folder / "chair.ckpt")
     bed = Checkpoint.read(
         make_checkpoint(folder / "bed.ckpt", "model=projected", "unit_categories=[bed]", threshold=0.65)
     )
     views = samples(2)
-    export([chair], folder / "chair.onnx", "onnx", "float32", views)
     export([chair, bed], folder / "both.onnx", "onnx", "float32", views)
     export([chair, bed], folder / "both.pt2", "torch_export", "float32", views)
     return folder
@@ -102,7 +103,7 @@ def metadata_of(file: Path) -> dict[str, Any]:
 def test_metadata_of_the_file(files: Path) -> None:
     metadata = metadata_of(files / "both.onnx")
     assert metadata["categories"] == ["chair", "bed"] and metadata["precision"] == "float32"
-    assert metadata["thresholds"] == [0.8, 0.65]  # selected by their validations
+    assert metadata["thresholds"] == [0.55, 0.65]  # selected by their validations
     assert metadata["ego"] == {"resolution": EGO.resolution, "cells": EGO.cells}
     assert metadata["camera"]["width"] == CAMERA.width and metadata["camera"]["mount_height"] == 1.25
     np.testing.assert_allclose(
@@ -116,8 +117,8 @@ def test_it_maps_as_the_checkpoint_does(files: Path) -> None:
         ours.update(*frame)
         theirs.update(*frame)
     np.testing.assert_allclose(ours.maps.probabilities, theirs.maps.probabilities, atol=1e-3)
-    assert ours.maps.thresholds == theirs.maps.thresholds == (0.8,)
-    assert SemanticMapper(load(files / "both.onnx")).spec.thresholds == (0.8, 0.65)
+    assert ours.maps.thresholds == theirs.maps.thresholds == (0.55,)
+    assert SemanticMapper(load(files / "both.onnx")).spec.thresholds == (0.55, 0.65)
 
 
 WITHOUT_TORCH = """
@@ -280,8 +281,8 @@ def test_a_comparison_by_hand() -> None:
         (["ckpt=a.ckpt", "precision=int4"], "got 'int4'"),
     ],
 )
-def test_mistakes_get_one_message(command: Command, arguments: list[str], message: str) -> None:
-    done = command("export", *arguments)
+def test_mistakes_get_one_message(command_in_process: Command, arguments: list[str], message: str) -> None:
+    done = command_in_process("export", *arguments)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert message in done.stderr
 

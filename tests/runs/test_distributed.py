@@ -77,8 +77,10 @@ def test_one_process_collects_as_before(tmp_path: Path) -> None:
         (["seed=1,2", "--multirun"], "trainer.devices: got 2 "),
     ],
 )
-def test_sizes_that_cannot_be_split_are_refused(command: Command, overrides: list[str], message: str) -> None:
-    done = command("train", *TWO, *overrides)
+def test_sizes_that_cannot_be_split_are_refused(
+    command_in_process: Command, overrides: list[str], message: str
+) -> None:
+    done = command_in_process("train", *TWO, *overrides)
     assert done.returncode != 0 and message in done.stderr and "Traceback" not in done.stderr, done.stderr
 
 
@@ -89,17 +91,17 @@ def in_slurm(monkeypatch: pytest.MonkeyPatch, **variables: int) -> None:
 
 @pytest.mark.parametrize("job", [JOB, TWO])
 def test_several_tasks_of_srun_are_refused(
-    command: Command, monkeypatch: pytest.MonkeyPatch, job: list[str]
+    command_in_process: Command, monkeypatch: pytest.MonkeyPatch, job: list[str]
 ) -> None:
     """The tasks would train independently."""
     in_slurm(monkeypatch, NTASKS=4, STEP_NUM_TASKS=4, PROCID=2, LOCALID=2, NODEID=0)
-    done = command("train", *job)
+    done = command_in_process("train", *job)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "srun: got 4 tasks" in done.stderr
 
 
-def test_several_hosts_without_torchrun_are_refused(command: Command) -> None:
-    done = command("train", *JOB, "trainer.num_nodes=2")
+def test_several_hosts_without_torchrun_are_refused(command_in_process: Command) -> None:
+    done = command_in_process("train", *JOB, "trainer.num_nodes=2")
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "trainer.num_nodes: got 2 " in done.stderr
 

@@ -113,6 +113,7 @@ def test_a_sweep_has_one_folder(in_hydra: None, overrides: list[str], parent: st
     assert len(sweep_jobs.read(folder)) == 2
 
 
+@pytest.mark.slow
 def test_two_sweeps_in_one_second_have_two_folders(in_hydra: None) -> None:
     now = "hydra.sweep.dir=${paths.outputs}/${name}/multirun_now"
     assert sweep("scale=test", "seed=1,2", now) == sweep("scale=test", "seed=1,2", now)  # set by the user
@@ -145,7 +146,8 @@ def test_commands_that_write_nothing_create_no_folder(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_in_a_given_folder(command: Command, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_run_in_a_given_folder(command: Command, command_in_process: Command, tmp_path: Path) -> None:
     words = [*JOB, "trainer.fast_dev_run=true", "hydra.run.dir=my run"]
     done = command("train", *words[:-1], "hydra.run.dir='my run'")
     assert done.returncode == 0, done.stderr
@@ -154,8 +156,8 @@ def test_a_run_in_a_given_folder(command: Command, tmp_path: Path) -> None:
     assert (tmp_path / "outputs" / "chair_unet" / "latest").resolve() == run
     assert [path.name for path in (tmp_path / "outputs" / "chair_unet").iterdir()] == ["latest"]
     before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
-    again = command("train", *words[:-1], "hydra.run.dir='my run'")
+    again = command_in_process("train", *words[:-1], "hydra.run.dir='my run'")
     assert again.returncode == 2 and "hydra.run.dir: got my run" in again.stderr
     assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
-    moved = command("train", "resume=latest", "hydra.run.dir=other")
+    moved = command_in_process("train", "resume=latest", "hydra.run.dir=other")
     assert moved.returncode == 2 and "hydra.run.dir: got" in moved.stderr

@@ -153,17 +153,18 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return (folder / LATEST).resolve()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "moment", "call"),
     [
         ("SIGINT", "logging", 1),
-        pytest.param("SIGTERM", "logging", 2, marks=pytest.mark.slow),
-        pytest.param("SIGTERM", "collection", 2, marks=pytest.mark.slow),
-        pytest.param("SIGTERM", "training", 3, marks=pytest.mark.slow),
-        pytest.param("SIGTERM", "checkpoint", 2, marks=pytest.mark.slow),
-        pytest.param("SIGTERM", "evaluation", 2, marks=pytest.mark.slow),
-        pytest.param("SIGTERM", "summary", 1, marks=pytest.mark.slow),
-        pytest.param("SIGINT", "training", 3, marks=pytest.mark.slow),
+        ("SIGTERM", "logging", 2),
+        ("SIGTERM", "collection", 2),
+        ("SIGTERM", "training", 3),
+        ("SIGTERM", "checkpoint", 2),
+        ("SIGTERM", "evaluation", 2),
+        ("SIGTERM", "summary", 1),
+        ("SIGINT", "training", 3),
     ],
 )
 def test_a_stopped_training_ends_as_an_undisturbed_one(

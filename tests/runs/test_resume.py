@@ -175,10 +175,12 @@ def test_a_checkpoint_of_another_model_is_refused(tmp_path: Path) -> None:
         Checkpoint.read(path).model()
 
 
-def test_a_resumed_run_keeps_its_config(command: Command, tmp_path: Path) -> None:
+def test_a_resumed_run_keeps_its_config(
+    command: Command, command_in_process: Command, tmp_path: Path
+) -> None:
     assert command("train", *JOB, "seed=3", "trainer.max_epochs=1").returncode == 0
     for refused in ("seed=4", "scale=small", "model=projected"):
-        done = command("train", "resume=latest", refused)
+        done = command_in_process("train", "resume=latest", refused)
         assert done.returncode == 2 and f"resume: got {refused}" in done.stderr
     # equal overrides are allowed, as for a cluster job that is started again
     done = command("train", *JOB, "seed=3", "resume=latest", "trainer.max_epochs=2", "trainer.num_nodes=1")
@@ -194,7 +196,7 @@ def test_a_resumed_run_keeps_its_config(command: Command, tmp_path: Path) -> Non
     damages = ["".join(some) for some in cut] + [text[: len(text) // 2], "["]
     for damaged in (*damages, text.replace("torch.optim.Adam", "os.system")):
         composed.write_text(damaged)
-        done = command("train", "resume=latest")
+        done = command_in_process("train", "resume=latest")
         assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
 
 

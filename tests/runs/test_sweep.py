@@ -121,6 +121,7 @@ def test_a_missing_extra_is_reported_with_its_installation(option: str) -> None:
     assert message is not None and message.endswith(f"pip install 'imagination[{option.rpartition('/')[2]}]'")
 
 
+@pytest.mark.slow
 def test_a_failed_job_stops_no_other_and_is_retried(command: Command, tmp_path: Path) -> None:
     job = ["-m", *JOB, "name=swept", "trainer.fast_dev_run=true", "callbacks.replay_buffer.prefill_steps=3,8"]
     done = command("train", *job)
@@ -139,9 +140,9 @@ def test_a_failed_job_stops_no_other_and_is_retried(command: Command, tmp_path: 
     assert [job.folder for job in sweep_jobs.read(sweep)] == ["0", "1"]
 
 
-def test_sweeps_of_evaluation_settings_never_train(command: Command, tmp_path: Path) -> None:
+def test_sweeps_of_evaluation_settings_never_train(command_in_process: Command, tmp_path: Path) -> None:
     for choice in ("+sweep=cell_width", "+sweep=registration"):
-        done = command("train", *JOB, choice)
+        done = command_in_process("train", *JOB, choice)
         assert done.returncode == 2 and "imagination.evaluate -m" in done.stderr, done.stderr
     assert not list(tmp_path.rglob("config.yaml"))
 

@@ -486,6 +486,7 @@ def test_the_command_writes_and_resumes_and_training_streams(command: Command, t
     assert done.returncode == 2 and "rendered with camera" in done.stderr and "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_broken_scene_is_reported_and_left_out(command: Command, tmp_path: Path) -> None:
     folder = tmp_path / "plugins" / "attic"
     (folder / "conf" / "data" / "scenes").mkdir(parents=True)

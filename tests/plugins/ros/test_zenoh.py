@@ -111,9 +111,9 @@ def test_the_map_is_saved_whatever_ends_the_service(
     ],
 )
 def test_mistakes_in_the_config_show_before_it_listens(
-    command: Command, unit_file: Path, mistake: list[str], expected: str
+    command_in_process: Command, unit_file: Path, mistake: list[str], expected: str
 ) -> None:
-    done = command("serve", f"unit={unit_file}", *mistake)
+    done = command_in_process("serve", f"unit={unit_file}", *mistake)
     assert done.returncode == 2 and expected in done.stderr
     assert "Traceback" not in done.stderr and "Listening" not in done.stderr
 
@@ -127,12 +127,14 @@ def test_a_service_that_mapped_nothing_reports_an_error(command: Command, unit_f
     assert done.returncode == 1 and "no frame was mapped" in done.stderr
 
 
-def test_an_endpoint_that_is_taken_is_one_message(command: Command, unit_file: Path) -> None:
+def test_an_endpoint_that_is_taken_is_one_message(command_in_process: Command, unit_file: Path) -> None:
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         holder.listen()
         port = holder.getsockname()[1]
-        done = command("serve", f"unit={unit_file}", f"server.transport.listen=[tcp/127.0.0.1:{port}]")
+        done = command_in_process(
+            "serve", f"unit={unit_file}", f"server.transport.listen=[tcp/127.0.0.1:{port}]"
+        )
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "zenoh: cannot listen on" in done.stderr
 
@@ -196,9 +198,9 @@ def test_an_invalid_largest_size_is_refused(max_bytes: int) -> None:
         ZenohTransport("ros2_humble", [], [], max_bytes)
 
 
-def test_without_rclpy_the_error_names_the_installation(command: Command, unit_file: Path) -> None:
+def test_without_rclpy_the_error_names_the_installation(command_in_process: Command, unit_file: Path) -> None:
     try:
         import rclpy  # noqa: F401
     except ImportError:
-        done = command("serve", "server=rclpy", f"unit={unit_file}")
+        done = command_in_process("serve", "server=rclpy", f"unit={unit_file}")
         assert done.returncode == 2 and "rclpy: is not installed" in done.stderr
