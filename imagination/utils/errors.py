@@ -36,7 +36,7 @@ def require_extra(package: str, extra: str) -> None:
 def check_range(
     name: str, value: Any, low: float, high: float, unit: str = "", *, open_low: bool = False
 ) -> float:
-    """Return `value` if it is finite and in [low, high] (in (low, high] with `open_low`).
+    """Return `value` if it is a finite number in [low, high] (in (low, high] with `open_low`).
 
     Raises:
         UserError: if it is not, with the name, the value and the allowed range.
@@ -49,7 +49,8 @@ def check_range(
         bracket = "(" if open_low else "["
         suffix = f" {unit}" if unit else ""
         raise UserError(f"{name}: got {value}, expected a number in {bracket}{low}, {high}]{suffix}")
-    return value
+    number: float = value
+    return number
 
 
 def check_choice(name: str, value: str, allowed: Iterable[str]) -> str:
