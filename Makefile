@@ -5,7 +5,7 @@ PYTHON ?= python3
 RUN := $(VENV)/bin/python
 ARGS ?= +experiment=chair_unet
 
-.PHONY: setup train study test slow bench soak fuzz
+.PHONY: setup train study test lint pytest slow bench soak fuzz
 
 setup: $(VENV)/.made
 
@@ -23,10 +23,15 @@ study: setup
 	$(RUN) -m imagination.study $(if $(filter command line,$(origin ARGS)),$(ARGS))
 
 test: setup
+	$(MAKE) --no-print-directory --jobs 2 lint pytest
+
+lint:
 	$(RUN) -m ruff check .
 	$(RUN) -m mypy
 	$(VENV)/bin/lint-imports --no-logo
-	$(RUN) -m pytest -n 2
+
+pytest:
+	$(RUN) -m pytest -n 2 --dist loadgroup
 
 slow: setup
 	$(RUN) -m pytest -m slow

@@ -1,22 +1,48 @@
 """Fixtures and settings of all tests: checks of array shapes, one thread per process, commands as subprocesses."""
 
+import copy
+import functools
 import importlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes on two cores
 
+import hydra
 import pytest
+from hydra.core.global_hydra import GlobalHydra
 from jaxtyping import install_import_hook
+from omegaconf import DictConfig
 
 from tests.helpers import shape_checker
 
 install_import_hook("imagination", f"{shape_checker.__name__}.checked")
 
 ROOT = Path(__file__).resolve().parents[1]
+
+_compose = hydra.compose
+
+
+@functools.lru_cache(maxsize=200)
+def _composed(config_name: str, overrides: tuple[str, ...], search_path: str) -> DictConfig:
+    return _compose(config_name, list(overrides))
+
+
+def compose_once(config_name: str, overrides: Sequence[str] = (), **options: Any) -> DictConfig:
+    """Compose a config, or copy an earlier one: many tests compose the same, for half a second each."""
+    loader = GlobalHydra.instance().config_loader()
+    search_path = [str(each.path).removeprefix("file://") for each in loader.get_search_path().get_path()]
+    changing = any(path.startswith("/") and not Path(path).is_relative_to(ROOT) for path in search_path)
+    if changing or options:  # files of a test's own plugin may change
+        return _compose(config_name, list(overrides), **options)
+    return copy.deepcopy(_composed(config_name, tuple(overrides), "\n".join(search_path)))
+
+
+hydra.compose = compose_once
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 

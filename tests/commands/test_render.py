@@ -51,6 +51,7 @@ def test_invalid_values_are_refused(
     assert not list(tmp_path.rglob("*.npz"))
 
 
+@pytest.mark.slow
 def test_another_scene_source_is_drawn(command: Command, tmp_path: Path) -> None:
     write_matterport(tmp_path / "scans")
     scans = "scale=test", "data/scenes=matterport3d"

@@ -33,6 +33,8 @@ from tests.helpers.toy_units import CAMERA, EGO, Toy
 from tests.mapping.test_semantic_mapper import frames
 from tests.utils.test_cache import make_victim, snapshot
 
+pytestmark = pytest.mark.xdist_group("unit_file")  # the fixture exports a unit, in each process that needs it
+
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory, unit_file: Path) -> Path:
@@ -287,6 +289,7 @@ def test_mistakes_get_one_message(command_in_process: Command, arguments: list[s
     assert message in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("choices", [[], ["paths.cache={victim}", "cache.max_gigabytes=0.001"]])
 def test_a_checkpoint_chooses_no_cache(tmp_path: Path, choices: list[str]) -> None:
     """Export renders into the cache of the command, and a mapper with the checkpoint needs no folder."""

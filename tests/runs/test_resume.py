@@ -178,12 +178,14 @@ def test_a_checkpoint_of_another_model_is_refused(tmp_path: Path) -> None:
 def test_a_resumed_run_keeps_its_config(
     command: Command, command_in_process: Command, tmp_path: Path
 ) -> None:
-    assert command("train", *JOB, "seed=3", "trainer.max_epochs=1").returncode == 0
+    assert command("train", *JOB, "seed=3", "trainer.max_epochs=1", "test=false").returncode == 0
     for refused in ("seed=4", "scale=small", "model=projected"):
         done = command_in_process("train", "resume=latest", refused)
         assert done.returncode == 2 and f"resume: got {refused}" in done.stderr
     # equal overrides are allowed, as for a cluster job that is started again
-    done = command("train", *JOB, "seed=3", "resume=latest", "trainer.max_epochs=2", "trainer.num_nodes=1")
+    done = command(
+        "train", *JOB, "seed=3", "resume=latest", "trainer.max_epochs=2", "trainer.num_nodes=1", "test=false"
+    )
     assert done.returncode == 0, done.stderr
     runs = [path for path in (tmp_path / "outputs" / "chair_unet").iterdir() if not path.is_symlink()]
     assert len(runs) == 1

@@ -71,6 +71,7 @@ def test_a_worker_killed_while_it_sends_a_result_is_noticed(tmp_path: Path) -> N
         pool.close()
 
 
+@pytest.mark.slow
 def test_closing_does_not_wait_for_tasks(tmp_path: Path) -> None:
     pool = ScenePool(observer(tmp_path), 1)
     futures = [pool.submit(slow, "train_0", tmp_path / "started") for _ in range(3)]
