@@ -69,13 +69,13 @@ def main(config: DictConfig) -> None:
 def evaluate(
     config: DictConfig, protocol: MappingProtocol, checkpoints: Sequence[Checkpoint], folder: Path
 ) -> None:
-    """Load the networks, evaluate them on all scenes, and write tables, figures and maps."""
+    """Load the networks, evaluate them on all scenes, and write records, maps, tables and figures."""
     import torch
 
     from imagination.evaluation import run
+    from imagination.evaluation.networks import network_rows
     from imagination.models.segmentation.ade20k import PublicHRNet
     from imagination.reporting.results_folder import write_results
-    from imagination.reporting.training_table import training_rows
 
     data = instantiate(config.data.module)
     check_scenes(checkpoints, data.observer.source)
@@ -84,13 +84,12 @@ def evaluate(
     if config.ade20k:
         observer, hflip = data.observer, config.model.tta_hflip
         networks.append(PublicHRNet.load(Path(config.ade20k), observer.categories, observer.camera, hflip))
+    rows = network_rows(checkpoints, config.unit_categories, public=bool(config.ade20k))
     try:
-        evaluation = run.evaluate(protocol, data, [network.to(device) for network in networks], folder)
+        run.evaluate(protocol, data, [network.to(device) for network in networks], folder, rows)
     finally:
         data.close()
-    write_results(
-        folder, evaluation, training_rows(checkpoints, evaluation.report, public=bool(config.ade20k))
-    )
+    write_results(folder)
 
 
 def results_folder(config: DictConfig, job_folder: Path | None) -> Path:

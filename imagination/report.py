@@ -1,7 +1,9 @@
 """Report on a run, an evaluation, a study or a sweep: `python -m imagination.report folder=outputs/chair_unet/latest`.
 
 Writes a self-contained page report.html into the folder, with tables/ (CSV, Markdown, LaTeX) and figures/ (PNG, PDF).
-`docs=docs/study` writes a Markdown page docs/study.md with figures in docs/study/ instead.
+`output=my_report` writes them into another folder, for example if the run belongs to another user.
+`docs=docs/results/study` writes a Markdown page docs/results/study.md, with its tables (CSV) and figures in
+docs/results/study/, instead.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.runs.command import command
-from imagination.utils.errors import UserError
+from imagination.utils.errors import CannotWriteError, UserError
 
 if TYPE_CHECKING:  # imports matplotlib, which --help does not need
     from imagination.reporting.content import Content
@@ -30,20 +32,28 @@ def validate(config: DictConfig) -> None:
             "folder: got none, expected the results of a run, an evaluation, a study or a sweep: "
             "folder=outputs/chair_unet/latest"
         )
+    if config.docs is not None and config.output is not None:
+        raise UserError(
+            f"output: got {config.output} and docs={config.docs}, expected one of them; leave one out"
+        )
 
 
 @command("report", validate)
 def main(config: DictConfig) -> None:
     """Write the report."""
-    write(Path(str(config.folder)), None if config.docs is None else Path(str(config.docs)))
+    docs, output = (None if value is None else Path(str(value)) for value in (config.docs, config.output))
+    write(Path(str(config.folder)), docs, output)
 
 
-def write(folder: Path, docs: Path | None = None) -> None:
-    """Write the report on a results folder into that folder, or as a page of the documentation."""
+def write(folder: Path, docs: Path | None = None, output: Path | None = None) -> None:
+    """Write the report on a results folder into that folder or another one, or as a page of the documentation."""
     from imagination.reporting import html, markdown
 
     content = read(folder)
-    page = markdown.write(docs, content) if docs else html.write(folder, content)
+    try:
+        page = markdown.write(docs, content) if docs else html.write(output or folder, content)
+    except CannotWriteError as error:
+        raise UserError(f"{error.__cause__}; write the report into another folder with output=…") from error
     for problem in content.problems:
         print(f"incomplete: {problem}", file=sys.stderr)
     print(f"Report: {page}", file=sys.stderr)

@@ -1,8 +1,10 @@
 """Run the whole study of the paper: `python -m imagination.study scale=small`.
 
 Trains the networks of the study one after the other, then evaluates them together. Arguments are overrides, as for
-imagination.train. The same command can be repeated: finished runs are reused, an unfinished run is resumed, and the
-evaluation reads finished trials from the cache. Runs of other commands with the same resolved config are reused too.
+imagination.train. `seeds=[0,1,2]` does so for each training seed: the results of a seed are in seed_<n>/, and the
+tables of the study hold means and standard deviations over seeds. The same command can be repeated: finished runs are
+reused, an unfinished run is resumed, and the evaluation reads finished trials from the cache. Runs of other commands
+with the same resolved config are reused too.
 """
 
 import json
@@ -10,22 +12,26 @@ import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from imagination.config.key_roles import Role, role
+from imagination.config.key_roles import KEYS, Role, role
 from imagination.config.overrides import assignment, override_group, override_key
 from imagination.config.validation import validate
 from imagination.evaluation.checkpoint_config import evaluation_config
 from imagination.models.task_kind import TaskKind
 from imagination.runs.command import command, run_command
 from imagination.runs.command_line import command_line, own_arguments
+from imagination.runs.final_record import read_final_record, write_final_record
 from imagination.runs.finished_trainings import is_evaluation_only, train_or_reuse, training_config
+from imagination.runs.folder import CONFIG
 from imagination.runs.hydra_folder import new_run_folder
 from imagination.runs.logging import logging_to
 from imagination.utils import interrupts
+from imagination.utils.atomic_io import write_text
 from imagination.utils.errors import UserError
 from imagination.utils.timing import stage, stage_timer
 
@@ -49,23 +55,78 @@ def main(config: DictConfig) -> None:
     evaluation += [
         text for text in overrides if is_evaluation_only(text) or override_group(text) in ("paths", "cache")
     ]
+    seeds = check_seeds(config.seeds, training)
     check_evaluation(config.experiments, training, evaluation)
-    outputs = Path(config.paths.outputs)
     folder = new_run_folder(config, continues=True)
-    evaluation.append(assignment("hydra.run.dir", str(folder)))
     with logging_to(folder / "run.log"):
         try:
-            checkpoints = []
-            for experiment in config.experiments:
-                with stage(experiment):
-                    checkpoints.append(str(train_or_reuse(experiment, training, outputs)))
-            with stage("evaluation"):
-                run_command("evaluate", [f"ckpt={json.dumps(checkpoints)}", *evaluation])
+            for seed in seeds:
+                evaluate_seed(config, seed, training, evaluation, folder)
+            if config.seeds is not None:
+                combine(folder, seeds)
         except KeyboardInterrupt:
             interrupts.report(f"Continue with: {command_line('study', own_arguments())}")
             sys.exit(interrupts.exit_code())
         times = ", ".join(f"{name} {seconds / 60:.1f}" for name, seconds in stage_timer.report().items())
         log.info("Minutes: %s", times)
+
+
+def check_seeds(seeds: Any, overrides: Sequence[str]) -> Sequence[int | None]:
+    """Return the training seeds; None for the seed of the overrides.
+
+    Raises:
+        UserError: if `seeds` is not a list of different seeds, or `seed` is set as well.
+    """
+    if seeds is None:
+        return [None]
+    low, high = KEYS["seed"].low or 0, KEYS["seed"].high or 0
+    given = list(seeds) if isinstance(seeds, ListConfig) else []
+    valid = [seed for seed in given if type(seed) is int and low <= seed <= high]
+    if not given or len(set(valid)) < len(given):
+        raise UserError(
+            f"seeds: got {seeds}, expected different whole numbers from {low} to {high}, such as [0,1,2]"
+        )
+    if single := [text for text in overrides if override_key(text) == "seed"]:
+        raise UserError(f"seed: got {single[0]} and seeds={given}, expected one of them; leave one out")
+    return valid
+
+
+def evaluate_seed(
+    config: DictConfig, seed: int | None, training: Sequence[str], evaluation: Sequence[str], folder: Path
+) -> None:
+    """Train the missing networks of one training seed, then evaluate all networks together.
+
+    Args:
+        config: config of the study.
+        seed: training seed, whose results are written into seed_<n>/; None for that of the overrides.
+        training: overrides of the trainings.
+        evaluation: overrides of the evaluation.
+        folder: folder of the study.
+    """
+    name = "" if seed is None else f"seed_{seed}"
+    if seed is not None:
+        training = [*training, f"seed={seed}"]
+    checkpoints = []
+    for experiment in config.experiments:
+        with stage(f"{experiment} {name}".strip()):
+            checkpoints.append(str(train_or_reuse(experiment, training, Path(config.paths.outputs))))
+    if seed is not None and read_final_record(folder / name) is not None:
+        log.info("%s: already evaluated, %s", name, folder / name)
+        return
+    with stage(f"evaluation {name}".strip()):
+        place = assignment("hydra.run.dir", str(folder / name))
+        run_command("evaluate", [f"ckpt={json.dumps(checkpoints)}", *evaluation, place])
+
+
+def combine(folder: Path, seeds: Sequence[int | None]) -> None:
+    """Write the tables and figures of all training seeds into the folder of the study."""
+    from imagination.reporting.results_folder import write_results  # imports matplotlib
+
+    config = OmegaConf.load(folder / f"seed_{seeds[0]}" / CONFIG)
+    write_text(folder / CONFIG, OmegaConf.to_yaml(OmegaConf.merge(config, {"seeds": list(seeds)})))
+    write_results(folder)
+    write_final_record(folder, seeds=list(seeds))
+    log.info("Results: %s/ (tables/, figures/, seed_*/)", folder)
 
 
 def check_evaluation(experiments: Sequence[str], training: Sequence[str], evaluation: Sequence[str]) -> None:

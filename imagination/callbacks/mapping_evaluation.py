@@ -58,7 +58,7 @@ class MappingEvaluation(Callback):
         if not trainer.is_global_zero:
             return
         evaluation = evaluate(self.protocol, _data(trainer), [cast(LitTask, pl_module)], self.folder)
-        for row in write_results(self.folder, evaluation):
+        for row in write_results(self.folder):
             tag = f"global/{row['category']}/{row['approach']}/{row['cell_width']}m"
             pl_module.log(tag, float(row["iou_pooled"]), rank_zero_only=True)
         for example in evaluation.report.examples:

@@ -6,6 +6,9 @@ from typing import Any
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 
+from imagination.runs.folder import COMPOSED
+from imagination.utils.errors import UserError
+
 PATHS = ("best_model_path", "kth_best_model_path", "last_model_path")
 """Keys of the callback state that hold paths."""
 
@@ -16,7 +19,31 @@ class MovableCheckpoint(ModelCheckpoint):
     Its state holds absolute paths, and Lightning drops the best score if the folder differs when a run resumes. This
     state holds file names only. Files that are removed for better ones are in its folder, whatever the state in a
     checkpoint names.
+
+    Raises:
+        UserError: at the end of an epoch, if the run folder was deleted or moved during the training. Lightning would
+            create a folder that holds only the checkpoints.
     """
+
+    _has_config = False  # whether the folder is that of a run, with its config
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        super().on_train_start(trainer, pl_module)
+        self._has_config = self._config.is_file()
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        if self._has_config and not self._config.is_file():
+            folder = self._config.parent
+            raise UserError(
+                f"run folder {folder}: was deleted or moved during the training, so its checkpoints cannot be saved; "
+                "move it back and resume the run, or start a new run"
+            )
+        super().on_train_epoch_end(trainer, pl_module)
+
+    @property
+    def _config(self) -> Path:
+        """Path of the run's config, beside the folder of the checkpoints."""
+        return Path(str(self.dirpath)).parent / COMPOSED
 
     def state_dict(self) -> dict[str, Any]:
         state = super().state_dict()

@@ -237,6 +237,7 @@ KEYS: Mapping[str, Key] = {
     "sweep": Key(Role.COMMAND),
     "hparams_search": Key(Role.COMMAND),
     "experiments": Key(Role.COMMAND),
+    "seeds": Key(Role.COMMAND),
     "compare": Key(Role.COMMAND),
 }
 """Keys and nodes with their rows; `node.*` stands for the keys of a node but not for the group of that name.

@@ -1,7 +1,5 @@
 """Records of an evaluation: counts of every trial, thresholds selected on validation scenes, and example maps."""
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,11 +8,6 @@ from jaxtyping import Bool, Float64, Int64
 from imagination.evaluation.threshold_selection import SelectedThreshold
 from imagination.evaluation.trials import Trial
 from imagination.geometry.grid import Grid
-from imagination.utils.atomic_io import write_text
-from imagination.utils.tabular import to_csv
-
-SCENES = "scenes.csv"
-"""File in tables/ with the names of the test scenes; shows which are missing after an interrupted evaluation."""
 
 SelectedThresholds = dict[tuple[str, str], SelectedThreshold]
 """Selected threshold and kernel by approach and category."""
@@ -79,8 +72,3 @@ class Report(NamedTuple):
     snap_distances: list[Float64[np.ndarray, " n"]]
     seen: Counts
     first_person: dict[str, float]
-
-
-def write_scenes(folder: Path, scenes: Sequence[str]) -> None:
-    """Write the names of the scenes to evaluate to scenes.csv."""
-    write_text(folder / SCENES, to_csv([{"scene": scene} for scene in scenes]))

@@ -4,39 +4,19 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
 
 from imagination.data.datamodule import SceneData
-from imagination.evaluation import saved_maps, single_views
+from imagination.evaluation import record_files, saved_maps, single_views
 from imagination.evaluation.approaches import NEEDS, Setting
 from imagination.evaluation.prediction import Network, Predictor
 from imagination.evaluation.protocol import MappingProtocol, ModelUnderTest
-from imagination.evaluation.records import Report, SelectedThresholds, write_scenes
-from imagination.scenes.source import Credit, Credited, SpareScenes
+from imagination.evaluation.record_files import Evaluation
+from imagination.evaluation.records import Report, SelectedThresholds
+from imagination.scenes.source import Credited, SpareScenes
+from imagination.utils.provenance import current_provenance
+from imagination.utils.tabular import Row
 
 log = logging.getLogger(__name__)
-
-
-class Evaluation(NamedTuple):
-    """Records of an evaluation, from which tables and figures are made.
-
-    Attributes:
-        protocol: protocol with the approaches that were evaluated.
-        setting: camera, grid and categories.
-        report: results on the test scenes.
-        known: results on scenes with training furniture; None if the protocol requests none.
-        credits: credits of the models and scans in the scenes.
-        seed: seed of the training run.
-        seconds: wall time, seconds.
-    """
-
-    protocol: MappingProtocol
-    setting: Setting
-    report: Report
-    known: Report | None
-    credits: Sequence[Credit]
-    seed: int
-    seconds: float
 
 
 def model_under_test(
@@ -53,15 +33,22 @@ def model_under_test(
 
 
 def evaluate(
-    protocol: MappingProtocol, data: SceneData, models: Sequence[Network], folder: Path
+    protocol: MappingProtocol,
+    data: SceneData,
+    models: Sequence[Network],
+    folder: Path,
+    networks: Sequence[Row] = (),
 ) -> Evaluation:
-    """Select thresholds on validation scenes, evaluate on test scenes and write the records: maps and single views.
+    """Select thresholds on validation scenes, evaluate on test scenes and write the records.
+
+    The records are records/, maps/ and single_views.npz. Tables and figures are made from them.
 
     Args:
         protocol: protocol of the evaluation; approaches whose network is missing are left out.
         data: scenes and views.
         models: trained networks.
-        folder: folder of the results, for tables/, maps/ and single_views.npz.
+        folder: folder of the results.
+        networks: rows on the training of the networks.
 
     Raises:
         UserError: if a split does not contain a category, an approach in `only` lacks its network, or the disk is full.
@@ -75,14 +62,19 @@ def evaluate(
     source = data.observer.source
     selected = protocol.select_thresholds(model, source.scenes("val"))
     scenes = source.scenes("test")
-    write_scenes(folder / "tables", scenes)
+    record_files.write_scenes(folder, scenes)
     report = protocol.evaluate(model, scenes, selected, save=lambda maps: saved_maps.save(folder, maps))
     known = _evaluate_known(protocol, model, selected)
     single_views.write(
         folder, single_views.evaluate_single_views(protocol, model, scenes, selected, data.imaginable)
     )
     credits = source.credits() if isinstance(source, Credited) else ()
-    return Evaluation(protocol, model.setting, report, known, credits, data.seed, perf_counter() - start)
+    evaluation = Evaluation(
+        protocol, model.setting, report, known, networks, credits, data.seed, perf_counter() - start,
+        current_provenance(),
+    )  # fmt: skip
+    record_files.write(folder, evaluation)
+    return evaluation
 
 
 def _log_left_out(requested: MappingProtocol, available: MappingProtocol) -> None:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
+from imagination.evaluation import record_files
 from imagination.evaluation.approaches import CONTROLS, REFERENCE
 from imagination.evaluation.metrics import count, iou
 from imagination.evaluation.protocol import MappingProtocol, ModelUnderTest, scenes_with
@@ -33,7 +34,7 @@ FILE = "single_views.npz"
 """Name of the file, in the folder of the results, with the views for the figures."""
 
 TABLE = "thresholds.csv"
-"""Name of the file, in tables/, with correct, false-positive and ground-truth cells at every threshold."""
+"""Name of the file, in records/, with correct, false-positive and ground-truth cells at every threshold."""
 
 
 class SingleView(NamedTuple):
@@ -284,8 +285,8 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> list[SingleView]:
 
 
 def write(folder: Path, results: SingleViews) -> None:
-    """Write tables/thresholds.csv and single_views.npz into the folder of the results, each atomically."""
-    write_text(folder / "tables" / TABLE, to_csv(threshold_rows(results)))
+    """Write records/thresholds.csv and single_views.npz into the folder of the results, each atomically."""
+    write_text(folder / record_files.FOLDER / TABLE, to_csv(threshold_rows(results)))
     write_npz(folder / FILE, to_arrays(results))
 
 

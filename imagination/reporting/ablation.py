@@ -1,13 +1,16 @@
 """Content of a sweep's report: its jobs, and each ablation as a table and a plot."""
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import product
 
-from imagination.evaluation.metrics import CONFIDENCE, interval
-from imagination.evaluation.records import Key
+import pandas as pd
+
+from imagination.evaluation.metrics import CONFIDENCE
+from imagination.evaluation.record_files import PIXELS
 from imagination.evaluation.single_views import ranked_by
+from imagination.reporting import tables
 from imagination.reporting.content import (
     Content,
     Drawing,
@@ -19,17 +22,25 @@ from imagination.reporting.content import (
     trainings,
 )
 from imagination.reporting.figures.scores import Point, draw_ablation
-from imagination.reporting.load_run import Results, TrialCounts
-from imagination.reporting.load_sweep import Job, Multirun
-from imagination.reporting.paper_layout import Cell, Column, Layout, Line, bootstrap, cell_of
+from imagination.reporting.load_run import Results
+from imagination.reporting.load_sweep import GROUPED, Multirun, Setting, results_of
+from imagination.reporting.paper_layout import Cell, Column, Layout, Line, excludes_zero
+from imagination.reporting.statistics import (
+    KEY,
+    MIN_SCENES,
+    counts_of,
+    difference,
+    estimate,
+    groups,
+    select,
+)
 from imagination.reporting.style import label
-from imagination.utils.tabular import read_yaml
+from imagination.utils.tabular import Row, read_yaml, to_csv
 
 
 def of_multirun(sweep: Multirun) -> Content:
     """Return the content of a sweep's report."""
-    evaluated = [job for job in sweep.readable if job.results and job.results.counts]
-    first = _results([*evaluated, *sweep.readable][0])
+    first = results_of(sweep.evaluated[0])
     problems = [
         f"job {job.number} ({_assignments(sweep.values(job))}): {job.state}; {job.reason}"
         for job in sweep.jobs
@@ -37,27 +48,71 @@ def of_multirun(sweep: Multirun) -> Content:
     ]
     keys = ", ".join(sweep.swept) or "nothing"
     complete = sum(job.state == "complete" for job in sweep.jobs)
-    properties = [("Swept", keys), ("Jobs", f"{len(sweep.jobs)}, {complete} complete"), *facts(first)[1:]]
+    common = [
+        (name, value) for name, value in facts(first)[1:] if name != "Seed" or "seed" not in sweep.swept
+    ]
+    properties = [("Swept", keys), ("Jobs", f"{len(sweep.jobs)}, {complete} complete"), *common]
     sections = [Section("Jobs", plain=(Plain("Swept values and state of each job", _rows(sweep)),))]
-    if evaluated and sweep.swept:
+    if sweep.swept:
         sections.append(Section(
             "Ablation",
-            f"Pooled IoU with {CONFIDENCE:.0%} intervals over scenes.",
-            layouts=tuple(_layouts(sweep, evaluated)),
-            drawings=tuple(_drawings(sweep, evaluated)),
+            f"Pooled IoU with {CONFIDENCE:.0%} intervals over scenes, and standard deviations over training seeds.",
+            layouts=tuple(_layouts(sweep, first)),
+            drawings=tuple(_drawings(sweep, first)),
         ))  # fmt: skip
-    title = f"Sweep of {first.name}"
     return Content(
-        title,
-        [("Folder", str(sweep.folder)), *properties],
+        f"Sweep of {first.name}",
+        [("Folder", str(sweep.folder.resolve())), *properties],
         problems,
         sections,
         _commands(sweep, first),
         as_yaml(first),
+        {f"{name}.csv": to_csv(rows) for name, rows in setting_tables(sweep).items() if rows},
     )
 
 
-def _rows(sweep: Multirun) -> list[dict[str, str]]:
+def setting_tables(sweep: Multirun) -> dict[str, list[Row]]:
+    """Return the rows of mapping.csv, mapping_seeds.csv and paired.csv of a sweep, with the swept keys first.
+
+    paired.csv holds the differences of each setting from the first one, for each approach.
+    """
+    rows: dict[str, list[Row]] = {"mapping": [], "mapping_seeds": [], "paired": []}
+    for setting in sweep.settings:
+        trials, bootstrap = setting.trials, results_of(setting.jobs[0]).bootstrap
+        for name, frame in (
+            ("mapping", tables.mapping(trials, bootstrap)),
+            ("mapping_seeds", tables.mapping_seeds(trials)),
+        ):
+            rows[name] += [setting.values | row for row in tables.text(frame)]
+    for setting in sweep.settings[1:]:
+        frame = _differences(sweep.settings[0], setting)
+        rows["paired"] += [setting.values | row for row in tables.text(frame, tables.SIGNED)]
+    return rows
+
+
+def _differences(baseline: Setting, setting: Setting) -> pd.DataFrame:
+    """Return the paired differences of a setting from the baseline for each approach, category and cell width."""
+    rows = []
+    theirs, bootstrap = baseline.trials, results_of(baseline.jobs[0]).bootstrap
+    for key, ours in groups(setting.trials):
+        found = difference(ours, select(theirs, *key), bootstrap, "iou")
+        if found is not None and _same_ground_truth(ours, select(theirs, *key)):
+            rows.append(
+                {
+                    **dict(zip(KEY, key, strict=True)),
+                    "compared_with": baseline.name,
+                    "iou_pooled": found.value,
+                    "ci_low": found.low,
+                    "ci_high": found.high,
+                    "iou_seed_std": found.seed_std,
+                    "seeds": len(set(ours["seed"])),
+                    "scenes": ours["scene"].nunique(),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def _rows(sweep: Multirun) -> list[Row]:
     """Return the table of the jobs."""
     return [
         {"job": job.number, **sweep.values(job), "state": job.state, "reason": job.reason}
@@ -65,137 +120,217 @@ def _rows(sweep: Multirun) -> list[dict[str, str]]:
     ]
 
 
-def _layouts(sweep: Multirun, jobs: Sequence[Job]) -> Iterator[Layout]:
-    """Yield the table with a block for each approach and a line for each job."""
-    keys = [key for job in jobs for key in _results(job).counts]
-    widths = sorted({key.cell_width for key in keys}, reverse=True)
-    categories = list(dict.fromkeys(key.category for key in keys))
-    columns = [Column(width, category) for width in widths for category in categories]
-    blocks = []
-    for approach in dict.fromkeys(key.approach for key in keys):
-        lines = [
-            Line(
-                _assignments(sweep.values(job)),
-                [cell_of(_results(job), Key(approach, at.category, at.cell_width), "iou") for at in columns],
-            )
-            for job in jobs
+def _columns(sweep: Multirun) -> list[Column]:
+    """Return the cell widths and categories of all settings."""
+    trials = pd.concat([setting.trials for setting in sweep.settings])
+    widths = sorted(trials["cell_width"].unique().tolist(), reverse=True)
+    return [Column(width, category) for width in widths for category in trials["category"].unique()]
+
+
+def _approaches(sweep: Multirun) -> list[str]:
+    return list(dict.fromkeys(name for setting in sweep.settings for name in setting.trials["approach"]))
+
+
+def _layouts(sweep: Multirun, first: Results) -> Iterator[Layout]:
+    """Yield the table of all settings, and that of their differences from the first one.
+
+    With one setting, as in a sweep over seeds or cell widths, the lines of the table are the approaches.
+    """
+    columns, approaches = _columns(sweep), _approaches(sweep)
+    lines = {
+        name: [
+            Line(setting.name, [_cell(setting, name, at, first) for at in columns])
+            for setting in sweep.settings
         ]
-        blocks.append((label(approach), _mark_best_validated(jobs, approach, columns, lines)))
-    note = (
-        "Pooled over trials, with intervals over scenes. In each block and category the job with the highest IoU on "
-        "validation scenes is bold; test scenes select nothing."
+        for name in approaches
+    }
+    note = f"Pooled over trials; {_described_spread(sweep)}."
+    if len(sweep.settings) == 1:
+        block = [Line(label(name), lines[name][0].cells) for name in approaches]
+        yield Layout("ablation", "IoU of the global map", note, columns, [("", block)], ".3f")
+        return
+    blocks = [(label(name), _mark_best_validated(sweep, name, columns, lines[name])) for name in approaches]
+    note += (
+        " In each block and category the setting with the highest IoU on validation scenes is bold; test scenes select "
+        "nothing."
     )
-    if any(len(_gt_pixels(jobs, at)) > 1 for at in columns):
+    if not all(_comparable(sweep, at) for at in columns):
         note += " The jobs have different ground truth, so their IoU cannot be compared."
     yield Layout("ablation", "IoU of the global map by swept value", note, columns, blocks, ".3f")
+    yield from _paired_layout(sweep, columns, ranked_by(approaches), first)
+
+
+def _paired_layout(sweep: Multirun, columns: list[Column], approach: str, first: Results) -> Iterator[Layout]:
+    """Yield the table of the differences of each setting from the first one, unless no ground truth is the same."""
+    baseline = sweep.settings[0]
+    if not any(_comparable(sweep, at) for at in columns):
+        return
+    lines = []
+    for setting in sweep.settings[1:]:
+        cells: list[Cell | None] = []
+        for at in columns:
+            ours, theirs = (
+                select(each.trials, approach, at.category, at.cell_width) for each in (setting, baseline)
+            )
+            found = (
+                difference(ours, theirs, first.bootstrap, "iou") if _same_ground_truth(ours, theirs) else None
+            )
+            cells.append(found and Cell(found, excludes_zero(found)))
+        lines.append(Line(setting.name, cells))
+    note = (
+        f"{label(approach)}: paired differences from {baseline.name}; {_described_spread(sweep)}. Bold if the interval "
+        "over scenes excludes 0."
+    )
+    title = "Paired differences of IoU between settings"
+    yield Layout("paired_settings", title, note, columns, [("", lines)], "+.3f")
+
+
+def _described_spread(sweep: Multirun) -> str:
+    """Describe the numbers that follow a value."""
+    several = any(len({results_of(job).seed for job in setting.jobs}) > 1 for setting in sweep.settings)
+    seeds = "mean and standard deviation (±) over training seeds, " if several else ""
+    return f"{seeds}intervals over scenes in brackets, if there are at least {MIN_SCENES}"
+
+
+def _cell(setting: Setting, approach: str, at: Column, first: Results) -> Cell | None:
+    """Return the pooled IoU of a setting in a column; None without trials."""
+    trials = select(setting.trials, approach, at.category, at.cell_width)
+    return None if trials.empty else Cell(estimate(counts_of(trials), first.bootstrap))
 
 
 def _mark_best_validated(
-    jobs: Sequence[Job], approach: str, columns: Sequence[Column], lines: Sequence[Line]
+    sweep: Multirun, approach: str, columns: Sequence[Column], lines: Sequence[Line]
 ) -> list[Line]:
-    """Mark the job with the highest IoU on validation scenes, unless all are equal or their ground truth differs."""
+    """Mark the setting with the highest IoU on validation scenes, unless all are equal or not comparable."""
     marked = [list(line.cells) for line in lines]
     for place, at in enumerate(columns):
-        scores = [_results(job).validated.get((approach, at.category)) for job in jobs]
+        scores = [setting.validated(approach, at.category) for setting in sweep.settings]
         values = {
             row: value for row, value in enumerate(scores) if value is not None and lines[row].cells[place]
         }
-        if len(_gt_pixels(jobs, at)) == 1 and len(set(values.values())) > 1:
+        if _comparable(sweep, at) and _enough(sweep, at) and len(set(values.values())) > 1:
             for row, value in values.items():
                 if value == max(values.values()) and (cell := lines[row].cells[place]):
                     marked[row][place] = cell._replace(strong=True)
     return [line._replace(cells=cells) for line, cells in zip(lines, marked, strict=True)]
 
 
-def _gt_pixels(jobs: Sequence[Job], at: Column) -> set[tuple[tuple[str, int], ...]]:
-    """Return the distinct ground truths of the jobs in a column, as pixels of each scene."""
-    distinct = set()
-    for job in jobs:
-        trials = next(
-            (
-                trials
-                for key, trials in _results(job).counts.items()
-                if (key.cell_width, key.category) == (at.cell_width, at.category)
-            ),
-            {},
-        )
-        if trials:
-            pixels = {scene: int(counts[2]) for (scene, _), counts in trials.items()}
-            distinct.add(tuple(sorted(pixels.items())))
-    return distinct
+def _enough(sweep: Multirun, at: Column) -> bool:
+    """Return whether the category of a column is in enough scenes of every setting to name a best one."""
+    scenes = [
+        setting.trials[setting.trials["category"] == at.category]["scene"].nunique()
+        for setting in sweep.settings
+    ]
+    return min(scenes) >= MIN_SCENES
 
 
-def _drawings(sweep: Multirun, jobs: Sequence[Job]) -> Iterator[Drawing]:
-    """Yield a figure for each category and swept key.
+def _comparable(sweep: Multirun, at: Column) -> bool:
+    """Return whether all settings have the same ground truth in a column."""
+    parts = [
+        trials[(trials["category"] == at.category) & (trials["cell_width"] == at.cell_width)]
+        for trials in (setting.trials for setting in sweep.settings)
+    ]
+    filled = [part for part in parts if len(part)]
+    return all(_same_ground_truth(filled[0], part) for part in filled[1:])
+
+
+def _same_ground_truth(ours: pd.DataFrame, theirs: pd.DataFrame) -> bool:
+    """Return whether two sets of trials have the same ground-truth pixels in each scene."""
+    pixels = [part.groupby("scene")[PIXELS[2]].max().to_dict() for part in (ours, theirs)]
+    return bool(pixels[0] == pixels[1])
+
+
+def _drawings(sweep: Multirun, first: Results) -> Iterator[Drawing]:
+    """Yield a figure for each category and swept key; see `_curves` for a sweep over cell widths.
 
     With one swept key the lines are the approaches. With several keys the lines are the values of the other keys, for
     the ranking approach.
     """
-    categories = dict.fromkeys(key.category for job in jobs for key in _results(job).counts)
-    approaches = list(dict.fromkeys(key.approach for job in jobs for key in _results(job).counts))
-    for key, category in product(sweep.swept, categories):
-        several = len(sweep.swept) > 1
-        shown = [ranked_by(approaches)] if several else approaches
+    keys = [key for key in sweep.swept if key not in GROUPED]
+    if not keys:
+        yield from _curves(sweep, first)
+    approaches = _approaches(sweep)
+    shown = [ranked_by(approaches)] if len(keys) > 1 else approaches
+    for key, category in product(keys, dict.fromkeys(at.category for at in _columns(sweep))):
         panels = {
-            title: lines
-            for title, width in _panels(jobs).items()
-            if (lines := _lines(sweep, jobs, key, category, shown, width))
+            f"cell width {width:g} m": lines
+            for width in sorted({at.cell_width for at in _columns(sweep)}, reverse=True)
+            if (lines := _lines(sweep, key, Column(width, category), shown, first))
         }
         if not panels:
             continue  # no job has both the category and the approach
-        approach = f" ({label(shown[0])})" if several else ""
-        stem = "".join(letter if letter.isalnum() else "_" for letter in key)
+        approach = f" ({label(shown[0])})" if len(keys) > 1 else ""
         yield Drawing(
-            f"ablation_{stem}_{category}",
+            f"ablation_{key}_{category}",
             f"{category}{approach}: pooled IoU over {key}.",
             partial(draw_ablation, panels, key, "pooled IoU"),
             wide=len(panels) > 1,
         )
 
 
-def _panels(jobs: Sequence[Job]) -> dict[str, float | None]:
-    """Return the cell widths common to all jobs by panel title; without common widths one panel of all widths."""
-    sets = [{key.cell_width for key in _results(job).counts} for job in jobs]
-    common = sorted(set.intersection(*sets), reverse=True)
-    return {f"cell width {width:g} m": width for width in common} or {"all cell widths together": None}
+def _curves(sweep: Multirun, first: Results) -> Iterator[Drawing]:
+    """Yield the figure of IoU over cell width of a sweep with one setting: a panel for each category."""
+    columns, (setting,) = _columns(sweep), sweep.settings
+    panels: dict[str, dict[str, list[Point]]] = {}
+    for at, approach in product(columns, _approaches(sweep)):
+        if (cell := _cell(setting, approach, at, first)) is not None:
+            point = f"{at.cell_width:g}", cell.estimate
+            panels.setdefault(at.category, {}).setdefault(approach, []).append(point)
+    if len({at.cell_width for at in columns}) > 1:
+        yield Drawing(
+            "iou_over_cell_width",
+            "Pooled IoU over the cell width.",
+            partial(draw_ablation, panels, "cell width, m", "pooled IoU"),
+            wide=len(panels) > 1,
+        )
 
 
 def _lines(
-    sweep: Multirun,
-    jobs: Sequence[Job],
-    key: str,
-    category: str,
-    approaches: Sequence[str],
-    width: float | None,
+    sweep: Multirun, key: str, at: Column, approaches: Sequence[str], first: Results
 ) -> dict[str, list[Point]]:
     """Return the points of each line of a panel."""
     lines: dict[str, list[Point]] = {}
-    for job, approach in product(jobs, approaches):
-        values = sweep.values(job)
-        others = _assignments({other: value for other, value in values.items() if other != key})
-        if (cell := _cell(_results(job), approach, category, width)) is not None:
-            lines.setdefault(others or approach, []).append((values[key], cell.value, cell.low, cell.high))
+    for setting, approach in product(sweep.settings, approaches):
+        others = _assignments({name: value for name, value in setting.values.items() if name != key})
+        if (cell := _cell(setting, approach, at, first)) is not None:
+            lines.setdefault(others or approach, []).append((setting.values[key], cell.estimate))
     return lines
 
 
-def _cell(results: Results, approach: str, category: str, width: float | None) -> Cell | None:
-    """Return the pooled IoU at a cell width, or over all cell widths if it is None."""
-    if width is not None:
-        return cell_of(results, Key(approach, category, width), "iou")
-    trials: TrialCounts = {
-        (scene, number + 1000 * place): pixels
-        for place, at in enumerate(results.cell_widths)
-        for (scene, number), pixels in results.counts.get(Key(approach, category, at), {}).items()
-    }
-    if not trials:
+def best_setting(sweep: Multirun) -> tuple[Setting, float] | None:
+    """Return the setting with the highest IoU on validation scenes and that IoU, the mean over categories.
+
+    The score is that of the ranking approach. None if a setting has no score or other ground truth than the others, or
+    all scores are equal.
+    """
+    approach = ranked_by(_approaches(sweep))
+    if not all(_comparable(sweep, at) for at in _columns(sweep)):
         return None
-    samples, value = bootstrap(results, trials, "iou")
-    return Cell(value, *interval(samples))
+    scored = []
+    for setting in sweep.settings:
+        scores = [setting.validated(approach, category) for category in setting.trials["category"].unique()]
+        if None in scores:
+            return None
+        scored.append((setting, sum(score for score in scores if score is not None) / len(scores)))
+    several = len({score for _, score in scored}) > 1
+    return max(scored, key=lambda pair: pair[1]) if several else None
 
 
-def _results(job: Job) -> Results:
-    assert job.results is not None
-    return job.results
+def summary(sweep: Multirun) -> list[str]:
+    """Return lines on the best setting of a sweep with its uncertainty in test scenes."""
+    if len(sweep.settings) < 2 or (found := best_setting(sweep)) is None:
+        return []
+    setting, score = found
+    approach = ranked_by(_approaches(sweep))
+    lines = [f"Best setting on validation scenes ({label(approach)}, IoU {score:.4f}): {setting.name}"]
+    for row in tables.text(tables.mapping(setting.trials, results_of(setting.jobs[0]).bootstrap)):
+        if row["approach"] == approach:
+            std = f" ± {row['iou_seed_std']} over {row['seeds']} seeds" if row["iou_seed_std"] else ""
+            span = f" [{row['iou_ci_low']}, {row['iou_ci_high']}] over scenes" if row["iou_ci_low"] else ""
+            lines.append(
+                f"  {row['category']}, cell width {row['cell_width']} m: test IoU {row['iou_pooled']}{std}{span}"
+            )
+    return lines
 
 
 def _commands(sweep: Multirun, first: Results) -> list[str]:
@@ -206,12 +341,12 @@ def _commands(sweep: Multirun, first: Results) -> list[str]:
         words = ["python", "-m", f"imagination.{hydra['job']['name']}", "-m", *hydra["overrides"]["task"]]
         command = shlex.join(words)
     except Exception:  # missing or damaged; a search writes no such file
-        words = str(first.provenance.get("command", "")).split()
+        words = first.provenance.get("command", "").split()
         command = " ".join(word for word in words if "hydra.sweep.dir=" not in word)
         command = command if "imagination.train" in command or "imagination.evaluate" in command else ""
     return [*(trainings(first) if "ckpt" in first.config else []), *filter(None, [command]), report]
 
 
-def _assignments(values: Mapping[str, str]) -> str:
+def _assignments(values: dict[str, str]) -> str:
     """Format values as key=value, separated by commas."""
     return ", ".join(f"{key}={value}" for key, value in values.items())

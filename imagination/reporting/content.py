@@ -1,6 +1,5 @@
 """Content of the report of one run: tables, figures and commands, independent of the page format."""
 
-import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -11,9 +10,8 @@ import yaml
 from matplotlib.figure import Figure
 
 from imagination.config.overrides import assignment
-from imagination.evaluation.records import SCENES
-from imagination.evaluation.single_views import CELLS, FILE, MIN_LABEL, TABLE, ranked_by
-from imagination.reporting import paper_layout, training_curves
+from imagination.evaluation.single_views import CELLS, FILE, MIN_LABEL, ranked_by
+from imagination.reporting import mapping_report, paper_layout, training_curves
 from imagination.reporting.figures import maps
 from imagination.reporting.figures.curves import draw_curves
 from imagination.reporting.figures.scores import draw_distribution, draw_precision_recall, draw_reliability
@@ -25,13 +23,15 @@ from imagination.runs import sweep_jobs
 from imagination.runs.command_line import command_line
 from imagination.utils.tabular import Row
 
-PRIMARY_TABLES = ("mapping.csv", "paired.csv", "trials.csv", SCENES, TABLE)
+PRIMARY_TABLES = ("mapping.csv", "mapping_seeds.csv", "paired.csv")
 """Files whose content other sections of the report show."""
 
 TITLES = {
     "ego.csv": "Single views of test scenes: the unit's scores",
     "training.csv": "Networks: training data and IoU on single views",
     "furniture.csv": "Scenes with known and with unseen furniture",
+    "mapping_details.csv": "Global maps: thresholds, areas and IoU by cells and order",
+    "credits.csv": "Credits",
 }
 """Titles of further tables; the title of any other table is its file name."""
 
@@ -46,11 +46,6 @@ class Drawing(NamedTuple):
     caption: str
     draw: Callable[[], Figure]
     wide: bool = False
-
-    @property
-    def file(self) -> str:
-        """File name without suffix; names of categories come from tables and can contain any character."""
-        return re.sub(r"[^\w.+-]", "_", self.stem)[:50]
 
 
 class Plain(NamedTuple):
@@ -80,6 +75,7 @@ class Content(NamedTuple):
         sections: sections with tables and figures.
         commands: commands that reproduce the results and the report.
         config: resolved config as YAML.
+        tables: contents of further files in tables/ by name.
     """
 
     title: str
@@ -88,6 +84,7 @@ class Content(NamedTuple):
     sections: list[Section]
     commands: list[str]
     config: str
+    tables: Mapping[str, str] = {}
 
 
 def of_run(results: Results) -> Content:
@@ -113,30 +110,40 @@ def of_run(results: Results) -> Content:
     ]
     filled = [section for section in sections if section.layouts or section.drawings or section.plain]
     return Content(
-        results.name, facts(results), results.problems, filled, commands(results), as_yaml(results)
+        results.name,
+        facts(results),
+        results.problems,
+        filled,
+        commands(results),
+        as_yaml(results),
+        mapping_report.table_files(results) if results.has_records else {},
     )
 
 
 def facts(results: Results) -> list[tuple[str, str]]:
     """Return the properties of the run and of the machine."""
-    config, origin = results.config, results.provenance
+    config, about, origin = results.config, results.about, results.provenance
+    version = f"imagination {origin['version']}, commit {origin['commit'] or 'unknown'}" if origin else ""
     properties = {
-        "Folder": str(results.folder),
+        "Folder": about.get("folder", str(results.folder.resolve())),
         "Categories": ", ".join(map(str, config.get("unit_categories") or [])),
         "Scenes": f"{results.source}, {len(results.scenes)} of the test split",
         "Resolution": f"{results.resolution:g} m per cell",
-        "Approaches left out": ", ".join(results.left_out) if results.counts else "",
-        "Seed": str(config.get("seed", "?")),
-        "Hardware": str(origin.get("hardware", "")),
-        "Evaluation took": f"{float(origin['seconds']):.0f} s" if "seconds" in origin else "",
-        "Sensor": str(origin.get("sensor", "")),
+        "Approaches left out": ", ".join(results.left_out) if len(results.trials) else "",
+        "Training seeds" if len(results.seeds) > 1 else "Seed": ", ".join(map(str, results.seeds)),
+        "Date": origin.get("date", ""),
+        "Version": version,
+        "Processor": origin.get("processor", ""),
+        "Precision": about.get("precision", ""),
+        "Evaluation took": f"{about['seconds']:.0f} s" if about else "",
+        "Sensor": about.get("sensor", ""),
     }
     return [(name, value) for name, value in properties.items() if value]
 
 
 def commands(results: Results) -> list[str]:
     """Return the commands that reproduce the run with the packages pinned in requirements.lock."""
-    reproduce, command = trainings(results), str(results.provenance.get("command", ""))
+    reproduce, command = trainings(results), results.provenance.get("command", "")
     if command and "imagination.train" not in command:
         reproduce.append(command)
     return [*reproduce, report_command(results.folder)]
@@ -157,7 +164,7 @@ def _training_of(run: Results) -> str:
 
     This is the recorded command, or the overrides of a run that was resumed, is a sweep's job or did not end.
     """
-    command = str(run.provenance.get("command", ""))
+    command = run.provenance.get("command", "")
     in_sweep = (run.folder.parent / sweep_jobs.FILE).is_file()
     resumed = any(key in command for key in ("resume=", "ckpt_path="))
     if "imagination.train" in command and not in_sweep and not resumed:
@@ -189,17 +196,17 @@ def _distributions(results: Results) -> Iterator[Drawing]:
             yield Drawing(
                 f"distribution_{measure}_{category}",
                 f"{name} of each trial by approach and cell width, {category}.",
-                partial(draw_distribution, results.counts, category, measure),
+                partial(draw_distribution, results.trials, category, measure),
             )
 
 
 def _maps(results: Results) -> Iterator[Drawing]:
     """Yield the figures of saved maps; without saved maps report the problem."""
     if not results.maps:
-        if results.counts:
+        if len(results.trials):
             results.problems.append("maps/ is missing: maps, viewpoints, precision and recall are left out")
         return
-    results.problems += missing_maps(results.counts, results.maps)
+    results.problems += missing_maps(results.trials, results.maps)
     for category in results.categories:
         widths = [width for width in results.cell_widths if maps.typical(results.maps, category, width)]
         ranking = label(ranked_by(results.approaches))
@@ -234,7 +241,7 @@ def _ranking(results: Results) -> str:
 def _single_views(results: Results) -> Iterator[Drawing]:
     """Yield the figures of single views."""
     views, resolution = results.single_views
-    if not views and results.counts:
+    if not views and len(results.trials):
         results.problems.append(f"{FILE} is missing or empty: single views are left out")
     for category in dict.fromkeys(view.category for view in views):
         shown = [view for view in views if view.category == category]

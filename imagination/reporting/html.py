@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from imagination.reporting import paper_layout
 from imagination.reporting.content import Content, Drawing
+from imagination.reporting.figures.file_names import safe_names
 from imagination.reporting.figures.maps import save
 from imagination.reporting.style import THEMES, theme
 from imagination.utils.atomic_io import write_text
@@ -39,7 +40,9 @@ def write(folder: Path, content: Content) -> Path:
 
 
 def write_tables(folder: Path, content: Content) -> None:
-    """Write each table in the paper's layout as CSV, Markdown and LaTeX."""
+    """Write the tables, and each table in the paper's layout as CSV, Markdown and LaTeX."""
+    for name, text in content.tables.items():
+        write_text(folder / name, text)
     for section in content.sections:
         for table in section.layouts:
             write_text(folder / f"{table.stem}.csv", paper_layout.to_csv(table))
@@ -49,11 +52,12 @@ def write_tables(folder: Path, content: Content) -> None:
 
 def write_figures(folder: Path, content: Content, kinds: tuple[str, ...] = ("png", "pdf")) -> None:
     """Write each figure in the light theme."""
+    names = file_names(content)
     for drawing in drawings(content):
         with themed("light"):
             figure = drawing.draw()
             for kind in kinds:
-                save(figure, folder / f"{drawing.file}.{kind}")
+                save(figure, folder / f"{names[drawing.stem]}.{kind}")
 
 
 def drawings(content: Content) -> Iterator[Drawing]:
@@ -61,9 +65,15 @@ def drawings(content: Content) -> Iterator[Drawing]:
     return (drawing for section in content.sections for drawing in section.drawings)
 
 
+def file_names(content: Content) -> dict[str, str]:
+    """Return the file name without suffix of each figure by its stem."""
+    return safe_names(drawing.stem for drawing in drawings(content))
+
+
 def html(content: Content) -> str:
     """Render the page: embedded figures, no external resources, no scripts, all text escaped."""
-    return environment().get_template("page.html.j2").render(content=content, picture=picture, colours=THEMES)
+    template = environment().get_template("page.html.j2")
+    return template.render(content=content, picture=picture, colours=THEMES, names=file_names(content))
 
 
 def environment() -> Environment:

@@ -1,31 +1,33 @@
-"""Reader of a results folder: counts of every trial from tables/trials.csv, or recounted from the saved maps."""
+"""Reader of a results folder: counts of every trial from its records, or recounted from the saved maps."""
 
-import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Int64
 
-from imagination.evaluation import saved_maps, single_views
+from imagination.evaluation import record_files, saved_maps, single_views
 from imagination.evaluation.metrics import count
-from imagination.evaluation.records import SCENES, Key
+from imagination.evaluation.record_files import PIXELS, Records
 from imagination.evaluation.saved_maps import SavedMaps
 from imagination.evaluation.single_views import SingleView
 from imagination.evaluation.threshold_selection import THRESHOLDS
 from imagination.evaluation.trials import Trial
-from imagination.reporting.mapping_report import PROVENANCE
-from imagination.reporting.saved_config import at, check_number, read_config
+from imagination.reporting.saved_config import at, read_config
+from imagination.reporting.statistics import Bootstrap
 from imagination.runs.folder import CONFIG
-from imagination.utils.errors import UserError, check_range, first_of
+from imagination.utils.errors import UserError, first_of
 from imagination.utils.tabular import Row, read_csv
 
 log = logging.getLogger(__name__)
+
+Content = TypeVar("Content")
 
 MAX_RESAMPLES = 100_000
 """Maximum number of bootstrap resamples; more do not change the intervals."""
@@ -33,11 +35,8 @@ MAX_RESAMPLES = 100_000
 MAX_NAMED = 60
 """Maximum number of missing scenes that a message names: as many as a study at the paper's scale evaluates."""
 
-MAX_PIXELS = 10**12
-"""Maximum pixel count of a trial, so that sums of counts stay exact."""
-
-TrialCounts = dict[tuple[str, int], Int64[np.ndarray, "3"]]
-"""Correct, false-positive and ground-truth pixels by scene and viewpoint set."""
+TRIAL = ["approach", "category", "cell_width", "scene", "viewpoint_set"]
+"""Columns that identify a trial of one training seed."""
 
 ConfusionCounts = Int64[np.ndarray, "t 3"]
 """Correct, false-positive and ground-truth cells at the thresholds .01, .02, … .99."""
@@ -46,7 +45,8 @@ ConfusionCounts = Int64[np.ndarray, "t 3"]
 class Results:
     """Contents of the folder of a run, an evaluation or a study.
 
-    Each part is read on first use. Missing or damaged parts are left out and reported in `problems`.
+    Each part is read on first use. Missing or damaged parts are left out and reported in `problems`. A study with
+    several training seeds has a folder seed_<n>/ for each; maps, single views and curves are those of the first seed.
 
     Args:
         folder: folder of the run.
@@ -82,7 +82,7 @@ class Results:
     @property
     def scenes(self) -> list[str]:
         """Names of the evaluated scenes."""
-        return list(dict.fromkeys(scene for trials in self.counts.values() for scene, _ in trials))
+        return list(self.trials["scene"].unique())
 
     @property
     def resolution(self) -> float:
@@ -90,34 +90,100 @@ class Results:
         return float(at(self.config, "ego.resolution") or "nan")
 
     @property
-    def resamples(self) -> int:
-        """Number of bootstrap resamples of scenes."""
-        return min(int(at(self.config, "evaluation.resamples") or 2000), MAX_RESAMPLES)
+    def bootstrap(self) -> Bootstrap:
+        """Bootstrap over scenes with the settings of the evaluation."""
+        resamples = min(int(at(self.config, "evaluation.resamples") or 2000), MAX_RESAMPLES)
+        return Bootstrap(resamples, int(at(self.config, "evaluation.seed") or 0))
+
+    @cached_property
+    def parts(self) -> list["Results"]:
+        """Evaluations of the training seeds, ordered by seed: this folder, or those in its folders seed_<n>/."""
+        folders = [path for path in self.folder.glob("seed_*") if (path / CONFIG).is_file()]
+        numbered = [path for path in folders if path.name.removeprefix("seed_").isdecimal()]
+        return [Results(path) for path in sorted(numbered, key=lambda path: int(path.name[5:]))] or [self]
+
+    @cached_property
+    def records(self) -> Records | None:
+        """Records of one evaluation; None if they are missing, damaged or of another version."""
+        return self._read(record_files.read, self.folder / record_files.FOLDER, self.folder)
+
+    @property
+    def has_records(self) -> bool:
+        """Whether the records of all training seeds can be read."""
+        return all(part.records is not None for part in self.parts)
+
+    def check_records(self) -> None:
+        """Check that the records of all training seeds can be read.
+
+        Raises:
+            UserError: if records are missing or damaged.
+        """
+        for part in self.parts:
+            if part.records is None:
+                reason = (
+                    "; ".join(part.problems)
+                    or f"{part.folder / record_files.FOLDER}/ is missing or incomplete"
+                )
+                raise UserError(f"folder: got {self.folder}, expected the records of an evaluation; {reason}")
+
+    @cached_property
+    def trials(self) -> pd.DataFrame:
+        """Counts of every trial in test scenes and training seed, see `record_files`; with a column `seed`.
+
+        Missing trials are reported in `problems`.
+        """
+        if self.parts != [self]:
+            frames = [part.trials for part in self.parts]
+            self.problems += [f"{part.folder.name}: {text}" for part in self.parts for text in part.problems]
+            return pd.concat(frames, ignore_index=True)
+        if self.records is not None:
+            trials = self._of_split("test")
+        else:
+            trials = recount(self.maps)
+            reason = "the evaluation has not finished or has failed; run the same command again"
+            if len(trials):
+                reason = f"recounted from the saved maps of {self._evaluated_scenes()}"
+            if not any(text.startswith(f"{record_files.FOLDER}/") for text in self.problems):
+                self.problems.append(f"{record_files.FOLDER}/{record_files.TRIALS} is missing: {reason}")
+        self.problems += missing_trials(trials, self.config)
+        trials.insert(0, "seed", self.seed)
+        return trials
+
+    @cached_property
+    def known(self) -> pd.DataFrame:
+        """Counts of every trial in scenes with training furniture; empty if they were not evaluated."""
+        frames = [part._of_split("known") for part in self.parts if part.records is not None]
+        seeds = [part.seed for part in self.parts if part.records is not None]
+        known = [frame.assign(seed=seed) for frame, seed in zip(frames, seeds, strict=True)]
+        return pd.concat(known, ignore_index=True) if known else pd.DataFrame(columns=["seed", *TRIAL])
+
+    def _of_split(self, split: str) -> pd.DataFrame:
+        assert self.records is not None
+        trials = self.records.trials
+        return trials[trials["split"] == split].drop(columns="split").reset_index(drop=True)
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Settings and provenance of the evaluation of the first seed; empty without records."""
+        records = self.parts[0].records
+        return records.about if records else {}
 
     @property
     def seed(self) -> int:
-        """Seed of the bootstrap."""
-        return int(at(self.config, "evaluation.seed") or 0)
+        """Training seed."""
+        value = self.config.get("seed", 0)
+        return value if isinstance(value, int) and abs(value) < 2**63 else 0
 
-    @cached_property
-    def counts(self) -> dict[Key, TrialCounts]:
-        """Counts of every trial by approach, category and cell width; missing trials are reported in `problems`."""
-        counts = self._from_table()
-        if not counts and self.maps:
-            self.problems.append(
-                f"tables/trials.csv is missing: recounted from the saved maps of {self._evaluated_scenes()}"
-            )
-            counts = recount(self.maps)
-        elif not counts:
-            self.problems.append(
-                "tables/trials.csv is missing: the evaluation has not finished or has failed"
-            )
-        self.problems += missing_trials(counts, self.config)
-        return counts
+    @property
+    def seeds(self) -> list[int]:
+        """Training seeds."""
+        return [part.seed for part in self.parts]
 
     @cached_property
     def maps(self) -> list[SavedMaps]:
         """Saved maps of all trials, ordered by scene, cell width (widest first) and viewpoint set."""
+        if self.parts != [self]:
+            return self.parts[0].maps
         paths = sorted((self.folder / saved_maps.FOLDER).glob("*.npz"))
         loaded = [maps for path in paths if (maps := self._read(saved_maps.load, path)) is not None]
         return sorted(loaded, key=lambda maps: (maps.trial.scene, -maps.trial.cell_width, maps.trial.number))
@@ -125,41 +191,40 @@ class Results:
     @cached_property
     def single_views(self) -> tuple[list[SingleView], float]:
         """Single views for the figures, and the metres per cell."""
-        path = self.folder / single_views.FILE
-        return (path.is_file() and self._read(single_views.load, path)) or ([], self.resolution)
+        if self.parts != [self]:
+            return self.parts[0].single_views
+        return self._read(single_views.load, self.folder / single_views.FILE) or ([], self.resolution)
 
     @cached_property
     def view_counts(self) -> dict[tuple[str, str, str], ConfusionCounts]:
         """Counts of single views at every threshold by approach (or "network"), subset of cells and category."""
-        path = self.folder / "tables" / single_views.TABLE
-        return (path.is_file() and self._read(read_view_counts, path)) or {}
+        if self.parts != [self]:
+            return self.parts[0].view_counts
+        return self._read(read_view_counts, self.folder / record_files.FOLDER / single_views.TABLE) or {}
 
-    @cached_property
-    def by_cells(self) -> dict[Key, tuple[float, float]]:
-        """Pooled IoU in seen and in unseen cells by approach, category and cell width, from mapping.csv."""
-        path = self.folder / "tables" / "mapping.csv"
-        return (path.is_file() and self._read(read_by_cells, path)) or {}
-
-    @cached_property
+    @property
     def validated(self) -> dict[tuple[str, str], float]:
-        """Pooled IoU on validation scenes by approach and category, at the selected threshold."""
-        path = self.folder / "tables" / "mapping.csv"
-        return (path.is_file() and self._read(read_validated, path)) or {}
+        """Pooled IoU on validation scenes by approach and category at the selected threshold, mean over seeds."""
+        scores: dict[tuple[str, str], list[float]] = {}
+        for part in self.parts:
+            for each in part.about.get("selected", []):
+                scores.setdefault((each["approach"], each["category"]), []).append(each["iou"])
+        return {key: float(np.mean(values)) for key, values in scores.items()}
 
-    @cached_property
-    def provenance(self) -> dict[str, Any]:
-        """Command, seed, hardware, seconds and sensor of the evaluation; empty without provenance.json."""
-        path = self.folder / "tables" / PROVENANCE
-        return (path.is_file() and self._read(read_provenance, path)) or {}
+    @property
+    def provenance(self) -> dict[str, str]:
+        """Date, version, git commit, command and processor of the evaluation; empty without records."""
+        return dict(self.about.get("provenance", {}))
 
     def table(self, name: str) -> list[Row]:
         """Return the rows of a table of the folder; empty if there is no such table."""
-        path = self.folder / "tables" / name
-        return (path.is_file() and self._read(read_csv, path)) or []
+        return self._read(read_csv, self.folder / "tables" / name) or []
 
     @cached_property
     def trained(self) -> list["Results"]:
         """Runs that trained the networks: this run, or the existing runs of an evaluation's checkpoints."""
+        if self.parts != [self]:
+            return [run for part in self.parts for run in part.trained]
         checkpoints = self.config.get("ckpt")
         if checkpoints is None:
             return [self]
@@ -172,7 +237,7 @@ class Results:
     @property
     def approaches(self) -> list[str]:
         """Names of the evaluated approaches."""
-        return list(dict.fromkeys(key.approach for key in self.counts))
+        return list(self.trials["approach"].unique())
 
     @property
     def left_out(self) -> list[str]:
@@ -183,46 +248,35 @@ class Results:
     @property
     def categories(self) -> list[str]:
         """Names of the evaluated categories."""
-        return list(dict.fromkeys(key.category for key in self.counts))
+        return list(self.trials["category"].unique())
 
     @property
     def cell_widths(self) -> list[float]:
         """Cell widths, metres, widest first as in the paper."""
-        return sorted({key.cell_width for key in self.counts}, reverse=True)
+        return sorted(self.trials["cell_width"].unique().tolist(), reverse=True)
 
     def _evaluated_scenes(self) -> str:
         """Describe the scenes with saved maps for a message: their number and the names of the missing scenes."""
         evaluated = {saved.trial.scene for saved in self.maps}
-        expected = [row["scene"] for row in self.table(SCENES) if "scene" in row]
+        expected = self._read(lambda _: record_files.read_scenes(self.folder), self.folder) or []
         if not (missing := [scene for scene in expected if scene not in evaluated]):
             return f"{len(evaluated)} scenes"
         return f"{len(evaluated)} of {len(expected)} scenes; missing: {first_of(missing, MAX_NAMED)}"
 
-    def _from_table(self) -> dict[Key, TrialCounts]:
-        path = self.folder / "tables" / "trials.csv"
-        return (path.is_file() and self._read(read_counts, path)) or {}
-
-    def _read(self, read: Any, path: Path) -> Any:
-        """Return `read(path)`; if the file is damaged, report it in `problems` and return None."""
-        try:
-            return read(path)
-        except Exception as error:  # readers raise various exceptions on damaged files
-            self.problems.append(f"{path.relative_to(self.folder)} is damaged and left out ({error})")
+    def _read(
+        self, read: Callable[[Path], Content], path: Path, argument: Path | None = None
+    ) -> Content | None:
+        """Return `read(argument)`, by default of `path`; None without the file or, after a report, if it is damaged."""
+        if not path.exists():
             return None
-
-
-def read_counts(path: Path) -> dict[Key, TrialCounts]:
-    """Read the counts in a trials.csv.
-
-    Raises:
-        ValueError: if a value is not a valid count or cell width.
-    """
-    counts: dict[Key, TrialCounts] = {}
-    for row in read_csv(path):
-        key = Key(row["approach"], row["category"], _width(row))
-        pixels = _counts(row, "pixels")
-        counts.setdefault(key, {})[row["scene"], int(row["viewpoint_set"])] = np.array(pixels, np.int64)
-    return counts
+        try:
+            return read(argument or path)
+        except FileNotFoundError:
+            return None
+        except Exception as error:  # readers raise various exceptions on damaged files
+            name = f"{path.relative_to(self.folder)}{'/' if path.is_dir() else ''}"
+            self.problems.append(f"{name} is damaged and left out ({error})")
+            return None
 
 
 def read_view_counts(path: Path) -> dict[tuple[str, str, str], ConfusionCounts]:
@@ -233,7 +287,12 @@ def read_view_counts(path: Path) -> dict[tuple[str, str, str], ConfusionCounts]:
     """
     counts: dict[tuple[str, str, str], list[list[int]]] = {}
     for row in read_csv(path):
-        counts.setdefault((row["approach"], row["cells"], row["category"]), []).append(_counts(row, "cells"))
+        correct, false, gt = cells = [
+            int(row[name]) for name in ("correct_cells", "false_positives", "gt_cells")
+        ]
+        if not (0 <= correct <= gt <= record_files.MAX_PIXELS and 0 <= false <= record_files.MAX_PIXELS):
+            raise ValueError(f"got {correct} correct, {false} false-positive and {gt} ground-truth cells")
+        counts.setdefault((row["approach"], row["cells"], row["category"]), []).append(cells)
     if any(len(rows) != len(THRESHOLDS) for rows in counts.values()):
         raise ValueError(
             f"expected {len(THRESHOLDS)} thresholds for each approach, category and subset of cells"
@@ -241,79 +300,39 @@ def read_view_counts(path: Path) -> dict[tuple[str, str, str], ConfusionCounts]:
     return {key: np.array(rows, np.int64) for key, rows in counts.items()}
 
 
-def read_by_cells(path: Path) -> dict[Key, tuple[float, float]]:
-    """Read the IoU in seen and in unseen cells in a mapping.csv.
-
-    Raises:
-        ValueError: if a value is not a number.
-    """
-    return {
-        Key(row["approach"], row["category"], _width(row)):
-        (float(row["iou_seen"]), float(row["iou_unseen"]))
-        for row in read_csv(path)
-    }  # fmt: skip
-
-
-def read_validated(path: Path) -> dict[tuple[str, str], float]:
-    """Read the IoU on validation scenes in a mapping.csv.
-
-    Raises:
-        ValueError: if a value is not a number.
-    """
-    return {(row["approach"], row["category"]): float(row["iou_val"]) for row in read_csv(path)}
-
-
-def _width(row: Row) -> float:
-    return check_range("cell_width", float(row["cell_width"]), 0.0, 1e3, "m")
-
-
-def _counts(row: Row, unit: str) -> list[int]:
-    """Return the correct, false-positive and ground-truth pixels (or cells) of a row."""
-    columns = f"correct_{unit}", "false_positives", f"gt_{unit}"
-    correct, false, gt = counts = [int(row[column]) for column in columns]
-    if not (0 <= correct <= gt <= MAX_PIXELS and 0 <= false <= MAX_PIXELS):
-        raise ValueError(f"got {correct} correct, {false} false-positive and {gt} ground-truth {unit}")
-    return counts
-
-
-def recount(maps: Sequence[SavedMaps]) -> dict[Key, TrialCounts]:
-    """Return the counts of every trial, computed from its saved maps."""
-    counts: dict[Key, TrialCounts] = {}
+def recount(maps: Sequence[SavedMaps]) -> pd.DataFrame:
+    """Return the counts of every trial over whole maps and seen cells, computed from its saved maps."""
+    rows = []
+    columns = [*TRIAL, *PIXELS, *(f"{name}_seen" for name in PIXELS)]
     for saved in maps:
         predicted = saved.predicted
-        for index, approach in enumerate(saved.approaches):
-            for layer, category in enumerate(saved.categories):
-                if saved.present[layer]:
-                    key = Key(approach, category, saved.trial.cell_width)
-                    pixels = count(predicted[index, layer], saved.truth[layer])
-                    counts.setdefault(key, {})[saved.trial.scene, saved.trial.number] = pixels
-    return counts
+        for (index, approach), (layer, category) in product(
+            enumerate(saved.approaches), enumerate(saved.categories)
+        ):
+            if saved.present[layer]:
+                pixels = count(predicted[index, layer], saved.truth[layer])
+                seen = count(predicted[index, layer] & saved.seen, saved.truth[layer] & saved.seen)
+                scene, width, number = saved.trial
+                rows.append((approach, category, width, scene, number, *pixels.tolist(), *seen.tolist()))
+    return pd.DataFrame(rows, columns=columns)
 
 
-def by_scene(trials: TrialCounts) -> Int64[np.ndarray, "scenes 1 3"]:
-    """Sum counts over the viewpoint sets of each scene, for the pooled IoU and the bootstrap."""
-    scenes: dict[str, np.ndarray] = {}
-    for (scene, _), pixels in trials.items():
-        scenes[scene] = scenes.get(scene, np.zeros(3, np.int64)) + pixels
-    return np.stack(list(scenes.values()))[:, None]
-
-
-def missing_trials(counts: Mapping[Key, TrialCounts], config: Mapping[str, Any]) -> list[str]:
+def missing_trials(trials: pd.DataFrame, config: Mapping[str, Any]) -> list[str]:
     """Return one message for each approach, category and cell width of the config that has missing trials."""
-    if not counts:
+    if trials.empty:
         return []  # reported already
     sets = range(int(at(config, "evaluation.viewpoint_sets") or 0))
-    approaches = dict.fromkeys(key.approach for key in counts)
+    found = set(trials[TRIAL].itertuples(index=False, name=None))
     messages = []
     for category in config.get("unit_categories") or []:
-        of_category = [trials for key, trials in counts.items() if key.category == category]
-        scenes = dict.fromkeys(scene for trials in of_category for scene, _ in trials)
-        if not scenes:
+        scenes = trials[trials["category"] == category]["scene"].unique()
+        if not len(scenes):
             messages.append(f"{category}: no trial of any approach")
-        for width, approach in product(at(config, "evaluation.cell_widths") or [], approaches):
-            trials = counts.get(Key(approach, category, float(width)), {})
+        places = product(at(config, "evaluation.cell_widths") or [], trials["approach"].unique())
+        for width, approach in places:
+            expected = product(scenes, sets)
             if missing := [
-                (scene, number) for scene in scenes for number in sets if (scene, number) not in trials
+                trial for trial in expected if (approach, category, float(width), *trial) not in found
             ]:
                 names = ", ".join(f"{scene} set {number}" for scene, number in missing[:3])
                 messages.append(
@@ -323,28 +342,14 @@ def missing_trials(counts: Mapping[Key, TrialCounts], config: Mapping[str, Any])
     return messages
 
 
-def missing_maps(counts: Mapping[Key, TrialCounts], maps: Sequence[SavedMaps]) -> list[str]:
+def missing_maps(trials: pd.DataFrame, maps: Sequence[SavedMaps]) -> list[str]:
     """Return a message on counted trials without saved maps, or an empty list if there are none."""
     saved = {each.trial for each in maps}
-    counted = dict.fromkeys(
-        Trial(scene, key.cell_width, number) for key, trials in counts.items() for scene, number in trials
-    )
+    places = trials[["scene", "cell_width", "viewpoint_set"]].drop_duplicates()
+    counted = [Trial(*place) for place in places.itertuples(index=False, name=None)]
     missing = [trial for trial in counted if trial not in saved]
     if not missing:
         return []
     names = ", ".join(f"{trial.scene} {trial.cell_width:g} m set {trial.number}" for trial in missing[:3])
     more = ", …" if len(missing) > 3 else ""
     return [f"maps/: the maps of {len(missing)} of {len(counted)} trials are missing ({names}{more})"]
-
-
-def read_provenance(path: Path) -> dict[str, Any]:
-    """Read a provenance.json.
-
-    Raises:
-        ValueError: if it is not a JSON object, or its seconds are not a valid number.
-    """
-    values = json.loads(path.read_text())
-    if not isinstance(values, dict):
-        raise ValueError(f"got {type(values).__name__}, expected a JSON object")
-    check_number("seconds", values.get("seconds", 0.0), 0.0, 1e9)
-    return values

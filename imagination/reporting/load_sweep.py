@@ -1,20 +1,23 @@
-"""Reader of a sweep's folder: its jobs and the swept values."""
+"""Reader of a sweep's folder: its jobs, the swept values, and the settings that several training seeds share."""
 
 import csv
 import json
 import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+import pandas as pd
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from imagination.config.key_roles import RESULT_ROLES, role
 from imagination.config.overrides import leaves
-from imagination.reporting.load_run import Results
+from imagination.reporting.load_run import TRIAL, Results
 from imagination.runs import sweep_jobs
 from imagination.utils.errors import UserError
 from imagination.utils.tabular import read_csv, read_yaml
@@ -41,6 +44,46 @@ class Job(NamedTuple):
     requested: dict[str, str]
 
 
+GROUPED = ("seed", "evaluation.cell_widths")
+"""Swept keys that make no settings: trainings with other random numbers, and further columns of the same table."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Evaluated jobs of a sweep that differ only in training seed or cell widths.
+
+    Attributes:
+        values: swept values by key, without those of `GROUPED`.
+        jobs: jobs with counts of trials.
+    """
+
+    values: dict[str, str]
+    jobs: list[Job]
+
+    @property
+    def name(self) -> str:
+        """Swept values as text; "all jobs" if the sweep has only one setting."""
+        return ", ".join(f"{key}={value}" for key, value in self.values.items()) or "all jobs"
+
+    @cached_property
+    def trials(self) -> pd.DataFrame:
+        """Counts of every trial of all jobs; see `Results.trials`."""
+        trials = pd.concat([results_of(job).trials for job in self.jobs], ignore_index=True)
+        return trials.drop_duplicates(["seed", *TRIAL], ignore_index=True)
+
+    def validated(self, approach: str, category: str) -> float | None:
+        """Return the pooled IoU on validation scenes, mean over jobs; None if a job does not have it."""
+        scores = [results_of(job).validated.get((approach, category)) for job in self.jobs]
+        found = [score for score in scores if score is not None]
+        return float(np.mean(found)) if len(found) == len(scores) else None
+
+
+def results_of(job: Job) -> Results:
+    """Return the contents of a job whose config can be read."""
+    assert job.results is not None
+    return job.results
+
+
 class Multirun:
     """Contents of a sweep's folder.
 
@@ -48,7 +91,7 @@ class Multirun:
         folder: folder with a numbered folder for each job.
 
     Raises:
-        UserError: if the config of no job can be read.
+        UserError: if no job has results.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -64,16 +107,31 @@ class Multirun:
             )
             for number in range(last + 1)
         ]
-        if not self.readable:
+        if not self.evaluated:
+            reasons = "; ".join(f"job {job.number}: {job.state}, {job.reason}" for job in self.jobs[:3])
             raise UserError(
-                f"folder: got {folder}, none of whose {len(self.jobs)} jobs has a readable config; report on a sweep "
-                "with at least one"
+                f"folder: got {folder}, none of whose {len(self.jobs)} jobs has results ({reasons}); run the same "
+                f"sweep again with hydra.sweep.dir={folder}"
             )
 
     @property
     def readable(self) -> list[Job]:
         """Jobs whose config can be read."""
         return [job for job in self.jobs if job.results is not None]
+
+    @property
+    def evaluated(self) -> list[Job]:
+        """Jobs with counts of trials."""
+        return [job for job in self.readable if job.results is not None and len(job.results.trials)]
+
+    @cached_property
+    def settings(self) -> list[Setting]:
+        """Evaluated jobs grouped by their swept values without those of `GROUPED`, in the order of the jobs."""
+        grouped: dict[tuple[str, ...], Setting] = {}
+        for job in self.evaluated:
+            values = {key: value for key, value in self.values(job).items() if key not in GROUPED}
+            grouped.setdefault(tuple(values.values()), Setting(values, [])).jobs.append(job)
+        return list(grouped.values())
 
     @cached_property
     def swept(self) -> dict[str, dict[str, str]]:
@@ -169,9 +227,9 @@ def read_job(folder: Path, requested: dict[str, str], listed: tuple[str, ...] = 
         results = Results(folder)
     except UserError as error:
         return Job(folder.name, None, "failed", str(error).partition(";")[0], requested)
-    if results.counts and not results.problems:
+    if len(results.trials) and not results.problems:
         return Job(folder.name, results, "complete", "", requested)
-    if results.counts:
+    if len(results.trials):
         return Job(folder.name, results, "incomplete", "; ".join(results.problems), requested)
     log = folder / "run.log"
     text = log.read_text(errors="replace") if log.is_file() else ""

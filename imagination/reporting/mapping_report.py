@@ -1,181 +1,149 @@
-"""Files of an evaluation's tables (CSV, Markdown) with their explanations and provenance."""
+"""Files of an evaluation's tables (CSV, Markdown) with their explanations and provenance, made from its records."""
 
-import json
 from collections.abc import Mapping, Sequence
-from math import degrees, isinf
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
-import numpy as np
+import pandas as pd
 
-from imagination.evaluation.approaches import Approach, ProjectedSegmentation, Setting
 from imagination.evaluation.metrics import CONFIDENCE
-from imagination.evaluation.protocol import MappingProtocol
-from imagination.evaluation.records import Report
-from imagination.reporting.tables import MAIN, furniture_rows, mapping_rows, paired_rows, trial_rows
-from imagination.utils.atomic_io import write_text
-from imagination.utils.tabular import Row, to_csv, to_markdown
+from imagination.reporting import tables
+from imagination.reporting.load_run import Results
+from imagination.reporting.statistics import MIN_SCENES
+from imagination.utils.tabular import Row, markdown_code, to_csv, to_markdown
 
-PROVENANCE = "provenance.json"
-"""File in tables/ with the provenance of the numbers."""
+POSTPROCESSING = {
+    "none": "",
+    "close": ", closed by {:g} m",
+    "dilate": ", dilated by {:g} m",
+    "ground_truth": " within the ground truth",
+}
+"""Descriptions of the operations on maps; see `Approach`."""
 
 
-class Provenance(NamedTuple):
-    """Provenance of a report's numbers.
+def table_files(results: Results) -> dict[str, str]:
+    """Return the contents of the tables of an evaluation by file name.
 
-    Attributes:
-        command: command of the evaluation.
-        seed: seed of the training run.
-        hardware: hardware and precision of the evaluation.
-        seconds: wall time of the evaluation, seconds.
-        sensor: description of the sensor by `declared_sensor`.
+    These are mapping.csv, mapping_seeds.csv, mapping_details.csv, paired.csv and mapping.md; training.csv,
+    furniture.csv and credits.csv if the records have data for them.
+
+    Args:
+        results: results with records.
     """
-
-    command: str
-    seed: int
-    hardware: str
-    seconds: float
-    sensor: str
-
-
-class FurtherTables(NamedTuple):
-    """Data of further tables.
-
-    Attributes:
-        training: rows on the training of the networks and their IoU on single views.
-        known: results in scenes with training furniture; None if not evaluated.
-    """
-
-    training: Sequence[Row] = ()
-    known: Report | None = None
+    rows = main_tables(results)
+    frames = [tables.details(part.trials, part.about) for part in results.parts]
+    rows["mapping_seeds"] = tables.text(tables.mapping_seeds(results.trials))
+    rows["mapping_details"] = tables.text(pd.concat(frames))
+    rows["training"] = [row for part in results.parts for row in _networks(part)]
+    if len(results.known):
+        rows["furniture"] = tables.text(tables.furniture(results.trials, results.known, results.bootstrap))
+    rows["credits"] = results.about["credits"]
+    files = {f"{name}.csv": to_csv(table) for name, table in rows.items() if table}
+    return {**files, "mapping.md": to_page(rows, results)}
 
 
-def write_tables(
-    folder: Path,
-    report: Report,
-    protocol: MappingProtocol,
-    resolution: float,
-    origin: Provenance,
-    further: FurtherTables | None = None,
-) -> None:
-    """Write the tables into `folder`, each atomically.
+def main_tables(results: Results) -> dict[str, list[Row]]:
+    """Return the rows of mapping.csv and paired.csv."""
+    mapping = tables.mapping(results.trials, results.bootstrap)
+    paired = tables.paired(results.trials, results.bootstrap)
+    return {"mapping": tables.text(mapping), "paired": tables.text(paired, tables.SIGNED)}
 
-    These are mapping.csv, paired.csv, trials.csv, mapping.md and provenance.json, and training.csv and furniture.csv if
-    `further` has data for them.
-    """
-    mapping = mapping_rows(report, protocol, resolution)
-    paired = paired_rows(report, protocol)
-    write_text(folder / PROVENANCE, json.dumps(origin._asdict(), indent=1) + "\n")
-    write_text(folder / "mapping.csv", to_csv(mapping))
-    write_text(folder / "paired.csv", to_csv(paired))
-    write_text(folder / "trials.csv", to_csv(trial_rows(report)))
+
+def _networks(part: Results) -> list[Row]:
+    """Return the rows of training.csv of one training seed."""
+    rows = tables.networks(part.about["networks"], part.about["first_person"])
+    return [{"network": row["network"], "seed": str(part.seed), **row} for row in rows]
+
+
+def to_page(rows: Mapping[str, Sequence[Row]], results: Results) -> str:
+    """Return mapping.md."""
+    about = results.about
     parts = [
         "# Mapping from sparse viewpoints",
-        to_markdown(mapping, MAIN),
-        _averages(report, protocol),
-        *(_paired_differences(paired) if paired else []),
-        *_write_further(folder, report, protocol, further or FurtherTables()),
-        "## Provenance",
-        _provenance(mapping, report, protocol, origin),
+        to_markdown(rows["mapping"], tables.MAPPING),
+        _averages(results),
     ]
-    write_text(folder / "mapping.md", "\n\n".join(parts) + "\n")
-
-
-def declared_sensor(setting: Setting, approaches: Mapping[str, Approach]) -> str:
-    """Describe the sensor and egocentric map of all approaches, and the limits of those that project segmentation."""
-    camera, ego = setting.camera, setting.ego
-    description = (
-        f"{camera.width} x {camera.height} pixels, field of view {degrees(camera.field_of_view):.0f} degrees, "
-        f"{camera.mount_height:g} m above the floor; egocentric map of {ego.cells * ego.resolution:.2f} m a side, "
-        f"cells of {ego.resolution:g} m"
-    )
-    for name, approach in approaches.items():
-        if isinstance(evidence := approach.evidence, ProjectedSegmentation):
-            limit = "the egocentric map" if isinf(evidence.max_range) else f"{evidence.max_range:g} m"
-            band = f"{evidence.low:g} to {evidence.high:g} m above the floor"
-            description += f"; {name} projects returns {band}, range limit {limit}"
-    return description
-
-
-def _averages(report: Report, protocol: MappingProtocol) -> str:
-    """Explain the averages of the table and the scenes left out."""
-    left_out = "; ".join(
-        f"{category}: {len(names)} of {len(names) + len(report.scenes[category])}"
-        for category, names in report.left_out.items()
-    )
-    sets = len(report.snap_distances)
-    empty = sum(len(distances) == 0 for distances in report.snap_distances)
-    views = sum(map(len, report.snap_distances)) * protocol.orientations
-    return (
-        f"A trial is one scene, cell width and viewpoint set; each cell width has {protocol.viewpoint_sets} sets per "
-        f"scene, with {protocol.orientations} random headings per viewpoint ({views} views in all). The ground truth "
-        "is M_gt of the whole scene, seen and unseen. `iou_pooled` divides the correct pixels of all trials by the "
-        "pixels of the union, `iou_mean` is the mean IoU over trials, and pixels are summed over trials. The "
-        f"{CONFIDENCE:.0%} intervals of `iou_pooled` come from {protocol.resamples} bootstrap resamples of scenes. "
-        f"Scenes without the category are left out ({left_out}). {empty} of {sets} viewpoint sets are empty because "
-        "the cell width is large for the scene, and count with empty maps."
-    )
-
-
-def _paired_differences(paired: list[Row]) -> list[str]:
-    """Return the section of paired differences."""
-    return [
-        "## Paired differences",
-        to_markdown(paired, list(paired[0])),
-        f"Differences of `iou_pooled`, with {CONFIDENCE:.0%} intervals over scenes (paired bootstrap).",
-    ]
-
-
-def _write_further(
-    folder: Path, report: Report, protocol: MappingProtocol, further: FurtherTables
-) -> list[str]:
-    """Write the further tables and return their sections."""
-    parts = []
-    if further.training:
-        write_text(folder / "training.csv", to_csv(further.training))
+    if rows["paired"]:
+        parts += [
+            "## Paired differences",
+            to_markdown(rows["paired"], list(rows["paired"][0])),
+            f"Differences of `iou_pooled`, with {CONFIDENCE:.0%} intervals over scenes (paired bootstrap).",
+        ]
+    if rows["training"]:
         parts += [
             "## Networks",
-            to_markdown(further.training, list(further.training[0])),
+            to_markdown(rows["training"], list(rows["training"][0])),
             "Epochs, samples, distinct views and minutes of training; best IoU on single views of validation scenes "
             "(of egocentric maps for a unit, of images for a segmentation network); IoU of a segmentation network on "
             "the images of this evaluation.",
         ]
-    if further.known is not None:
-        rows = furniture_rows(report, further.known, protocol)
-        write_text(folder / "furniture.csv", to_csv(rows))
+    if known := rows.get("furniture"):
         parts += [
             "## Known and unseen furniture",
-            to_markdown(rows, list(rows[0])),
+            to_markdown(known, list(known[0])),
             "`known`: scenes with training furniture that were not trained on; `unseen`: the test scenes.",
         ]
-    return parts
+    parts += ["## Provenance", _provenance(rows["mapping_details"], results, about)]
+    return "\n\n".join(parts) + "\n"
 
 
-def _provenance(mapping: list[Row], report: Report, protocol: MappingProtocol, origin: Provenance) -> str:
-    """List sensor, registration, selected thresholds, seed, hardware, time and command."""
-    rules = ", ".join(f"{name} by {approach.rule}" for name, approach in protocol.approaches.items())
-    order_effect = max(abs(float(row["iou_pooled"]) - float(row["iou_shuffled"])) for row in mapping)
-    distances = np.concatenate(report.snap_distances)
-    moved = distances.mean() if len(distances) else 0.0
-    postprocessing = {
-        "none": "",
-        "close": ", closed by {:g} m",
-        "dilate": ", dilated by {:g} m",
-        "ground_truth": " within the ground truth",
-    }
-    thresholds = "; ".join(
-        f"{name} ({category}) threshold {selected.threshold:.2f}"
-        + postprocessing[protocol.approaches[name].postprocess].format(selected.kernel)
-        for (name, category), selected in report.selected.items()
+def _averages(results: Results) -> str:
+    """Explain the averages of the table and the scenes left out."""
+    about, protocol = results.about, results.about["protocol"]
+    left_out = "; ".join(
+        f"{category}: {count} of {count + about['scenes'].get(category, 0)}"
+        for category, count in about["left_out"].items()
     )
+    views = about["viewpoints"]["viewpoints"] * protocol["orientations"]
+    seeds = (
+        "" if len(results.seeds) == 1
+        else "Values and pixels are means over training seeds, `iou_seed_std` is the standard deviation over seeds. "
+    )  # fmt: skip
+    return (
+        f"A trial is one scene, cell width and viewpoint set; each cell width has {protocol['viewpoint_sets']} sets "
+        f"per scene, with {protocol['orientations']} random headings per viewpoint ({views} views in all). The ground "
+        "truth is M_gt of the whole scene, seen and unseen. `iou_pooled` divides the correct pixels of all trials by "
+        "the pixels of the union, `iou_mean` is the mean IoU over trials, and pixels are summed over trials. "
+        f"{seeds}The {CONFIDENCE:.0%} intervals of `iou_pooled` come from {results.bootstrap.resamples} bootstrap "
+        f"resamples of scenes; fewer than {MIN_SCENES} scenes have no interval. Scenes without the category are left "
+        f"out ({left_out}). {about['viewpoints']['empty']} of {about['viewpoints']['sets']} viewpoint sets are empty "
+        "because the cell width is large for the scene, and count with empty maps."
+    )
+
+
+def _provenance(details: Sequence[Row], results: Results, about: Mapping[str, Any]) -> str:
+    """List sensor, registration, selected thresholds, seeds, time and origin of the numbers."""
+    rules = ", ".join(f"{name} by {each['rule']}" for name, each in about["approaches"].items())
+    pooled = {
+        (row["approach"], row["category"], row["cell_width"], row["seed"]): row["iou_pooled"]
+        for row in tables.text(tables.mapping_seeds(results.trials))
+    }
+    order_effect = max(
+        abs(
+            float(row["iou_shuffled"])
+            - float(pooled[row["approach"], row["category"], row["cell_width"], row["seed"]])
+        )
+        for row in details
+    )
+    thresholds = "; ".join(
+        f"{each['approach']} ({each['category']}) threshold {each['threshold']:.2f}"
+        + POSTPROCESSING.get(about["approaches"][each["approach"]]["postprocess"], "").format(each["kernel"])
+        for each in about["selected"]
+        if each["approach"] in about["approaches"]
+    )
+    seeds, origin = ", ".join(map(str, results.seeds)), results.provenance
     return "\n".join(
         [
-            f"- Sensor, the same for all approaches: {origin.sensor}.",
+            f"- Sensor, the same for all approaches: {about['sensor']}.",
             f"- Registration: {rules}; views in viewpoint order, then orientation. In a random order `iou_pooled` "
-            f"changes by {order_effect:.4f} at most. Viewpoints were moved {moved:.2f} m on average to free space.",
+            f"changes by {order_effect:.4f} at most. Viewpoints were moved {about['viewpoints']['moved']:.2f} m on "
+            "average to free space.",
             f"- Selected on validation scenes by IoU pooled over all cell widths: {thresholds}.",
-            f"- Seed of the training run {origin.seed}, of viewpoints, headings and bootstrap {protocol.seed}.",
-            f"- {origin.hardware}; evaluation took {origin.seconds:.0f} s of wall time.",
-            f"- Command: `{origin.command}`",
+            f"- Seed of the training run {seeds}, of viewpoints, headings and bootstrap {about['protocol']['seed']}.",
+            f"- {origin.get('processor', '')}, networks in {about['precision']}; evaluation took "
+            f"{about['seconds']:.0f} s of wall time.",
+            f"- {origin.get('date', '')}, imagination {origin.get('version', '')}, commit "
+            f"{origin.get('commit') or 'unknown'}.",
+            f"- Folder: {markdown_code(about['folder'])}",
+            f"- Command: {markdown_code(origin.get('command', ''))}",
         ]
     )

@@ -1,20 +1,24 @@
 """Tables in the paper's layout (rows: approaches, columns: cell width and category) as CSV, Markdown and LaTeX."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-from jaxtyping import Float64, Int64
-
 from imagination.evaluation.approaches import CONTROLS
-from imagination.evaluation.metrics import CONFIDENCE, bootstrap_iou, interval, iou, resample
-from imagination.evaluation.records import Key
+from imagination.evaluation.metrics import CONFIDENCE, iou
 from imagination.reporting import paper_numbers
-from imagination.reporting.load_run import Results, TrialCounts, by_scene
+from imagination.reporting.load_run import Results
+from imagination.reporting.statistics import (
+    MIN_SCENES,
+    Estimate,
+    counts_of,
+    difference,
+    estimate,
+    select,
+)
 from imagination.reporting.style import label
 from imagination.reporting.tables import pairs
-from imagination.utils.tabular import csv_text, markdown_row
+from imagination.utils.tabular import csv_text, markdown_row, markdown_text
 
 
 class Column(NamedTuple):
@@ -25,12 +29,15 @@ class Column(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """Value with its interval (NaN without one); `strong` values are printed in bold."""
+    """Value with its uncertainty; `strong` values are printed in bold."""
 
-    value: float
-    low: float = math.nan
-    high: float = math.nan
+    estimate: Estimate
     strong: bool = False
+
+    @property
+    def value(self) -> float:
+        """Value without its uncertainty."""
+        return self.estimate.value
 
 
 class Line(NamedTuple):
@@ -63,37 +70,33 @@ class Layout(NamedTuple):
         """Format a value."""
         return format(value, self.digits)
 
-    def span(self, cell: Cell) -> str:
-        """Format the interval of a cell; empty without an interval."""
-        return f"[{self.text(cell.low)}, {self.text(cell.high)}]" if math.isfinite(cell.low) else ""
-
-
-Measure = Callable[[Int64[np.ndarray, "n 3"]], Float64[np.ndarray, " n"]]
-"""Metric of counts: IoU or correct pixels."""
-
-MEASURES: Mapping[str, Measure] = {"iou": iou, "correct_pixels": lambda counts: counts[..., 0].astype(float)}
-"""Metrics by name."""
+    def spread(self, cell: Cell) -> str:
+        """Format the deviation over seeds and the interval of a cell, as far as it has them."""
+        parts, (_, low, high, seed_std) = [], cell.estimate
+        if math.isfinite(seed_std):
+            parts.append(f"± {format(seed_std, self.digits.lstrip('+'))}")
+        if math.isfinite(low):
+            parts.append(f"[{self.text(low)}, {self.text(high)}]")
+        return " ".join(parts)
 
 
 def tables(results: Results) -> list[Layout]:
     """Return the tables of IoU, correct pixels and their paired differences; empty without counts."""
-    if not results.counts:
+    if results.trials.empty:
         return []
     columns = [Column(width, category) for width in results.cell_widths for category in results.categories]
-    intervals = (
-        f"the {CONFIDENCE:.0%} interval over scenes ({results.resamples} bootstrap resamples) in brackets"
-    )
     best = "The best approach that does not see the ground truth is bold in each column of each block."
     cells = (
         f"A pixel is a cell of {results.resolution:g} m here, of {paper_numbers.RESOLUTION:g} m in the paper."
     )
+    spread = described_spread(results)
     return [
         Layout(
-            "iou", "IoU of the global map", f"Pooled over trials, {intervals}. {best}", columns,
+            "iou", "IoU of the global map", f"Pooled over trials, {spread}. {best}", columns,
             _with_paper(results, columns, "iou", paper_numbers.IOU), ".3f",
         ),
         Layout(
-            "correct_pixels", "Correctly predicted pixels", f"Summed over trials, {intervals}. {best} {cells}", columns,
+            "correct_pixels", "Correctly predicted pixels", f"Summed over trials, {spread}. {best} {cells}", columns,
             _with_paper(results, columns, "correct_pixels", paper_numbers.CORRECT_PIXELS), ".0f",
         ),
         *_by_cells(results, columns, best),
@@ -101,22 +104,48 @@ def tables(results: Results) -> list[Layout]:
     ]  # fmt: skip
 
 
+def described_spread(results: Results) -> str:
+    """Describe the numbers that follow a value."""
+    resamples = results.bootstrap.resamples
+    interval = f"the {CONFIDENCE:.0%} interval over scenes ({resamples} bootstrap resamples) in brackets"
+    if len(results.scenes) < MIN_SCENES:
+        interval = f"without intervals over scenes, since there are fewer than {MIN_SCENES}, and without a best value"
+    seeds = len(results.seeds)
+    return (
+        f"mean and standard deviation (±) over {seeds} training seeds, {interval}" if seeds > 1 else interval
+    )
+
+
 def _by_cells(results: Results, columns: list[Column], best: str) -> list[Layout]:
-    """Return the table of IoU in seen and in unseen cells; empty without mapping.csv."""
-    if not results.by_cells:
-        return []
-    blocks = []
-    for place, block in enumerate(("Cells that a view saw", "Other cells")):
-        lines = []
-        for name in results.approaches:
-            pairs_of_iou = [results.by_cells.get(Key(name, at.category, at.cell_width)) for at in columns]
-            cells = [Cell(values[place]) if values else None for values in pairs_of_iou]
+    """Return the table of IoU in seen and in unseen cells."""
+    heads = "Cells that a view saw", "Other cells"
+    by_cells: list[list[Line]] = [[], []]
+    for name in results.approaches:
+        pairs_of_iou = [_iou_by_cells(results, name, at) for at in columns]
+        for place, lines in enumerate(by_cells):
+            cells = [values and Cell(Estimate(values[place])) for values in pairs_of_iou]
             lines.append(Line(label(name), cells))
-        blocks.append((block, mark_best(results.approaches, lines)))
-    return [
-        Layout("iou_by_cells", "IoU in seen and in unseen cells", f"Pooled over trials. {best}", columns, blocks,
-               ".3f")
-    ]  # fmt: skip
+    blocks = [
+        (head, mark_best(results.approaches, lines, enough_scenes(results, columns)))
+        for head, lines in zip(heads, by_cells, strict=True)
+    ]
+    note = f"Pooled over trials. {best}"
+    return [Layout("iou_by_cells", "IoU in seen and in unseen cells", note, columns, blocks, ".3f")]
+
+
+def _iou_by_cells(results: Results, approach: str, at: Column) -> tuple[float, float] | None:
+    """Return the pooled IoU in seen and in unseen cells, means over seeds; None without trials."""
+    trials = select(results.trials, approach, at.category, at.cell_width)
+    if trials.empty:
+        return None
+    whole, seen = (counts_of(trials, suffix).sum(axis=1) for suffix in ("", "_seen"))
+    return float(iou(seen).mean()), float(iou(whole - seen).mean())
+
+
+def enough_scenes(results: Results, columns: Sequence[Column]) -> list[bool]:
+    """Return for each column whether its category is in enough scenes to name a best approach."""
+    scenes = results.trials.groupby("category")["scene"].nunique()
+    return [bool(scenes[at.category] >= MIN_SCENES) for at in columns]
 
 
 def _with_paper(
@@ -124,9 +153,7 @@ def _with_paper(
 ) -> list[tuple[str, list[Line]]]:
     """Return the lines of our results and those that the paper published."""
     ours = [
-        Line(
-            label(name), [cell_of(results, Key(name, at.category, at.cell_width), measure) for at in columns]
-        )
+        Line(label(name), [cell_of(results, name, at, measure) for at in columns])
         for name in results.approaches
     ]
     names = [name for name in results.approaches if any((name, *at) in published for at in columns)]
@@ -134,37 +161,33 @@ def _with_paper(
         Line(label(name), [_published(published.get((name, at.cell_width, at.category))) for at in columns])
         for name in names
     ]
-    blocks = [(f"Ours, on {results.source}", mark_best(results.approaches, ours))]
-    return [*blocks, (paper_numbers.SOURCE, mark_best(names, theirs))] if theirs else blocks
+    enough = enough_scenes(results, columns)
+    blocks = [(f"Ours, on {results.source}", mark_best(results.approaches, ours, enough))]
+    always = [True] * len(columns)
+    return [*blocks, (paper_numbers.SOURCE, mark_best(names, theirs, always))] if theirs else blocks
 
 
 def _published(value: float | None) -> Cell | None:
-    return None if value is None else Cell(value)
+    return None if value is None else Cell(Estimate(value))
 
 
-def cell_of(results: Results, key: Key, measure: str) -> Cell | None:
-    """Return the metric over the trials of a row with its interval; None without trials."""
-    trials = results.counts.get(key)
-    if not trials:
-        return None
-    samples, value = bootstrap(results, trials, measure)
-    return Cell(value, *interval(samples))
+def cell_of(results: Results, approach: str, at: Column, measure: str) -> Cell | None:
+    """Return the metric over the trials of a row and column; None without trials."""
+    trials = select(results.trials, approach, at.category, at.cell_width)
+    return None if trials.empty else Cell(estimate(counts_of(trials), results.bootstrap, measure))
 
 
-def bootstrap(results: Results, trials: TrialCounts, measure: str) -> tuple[Float64[np.ndarray, " n"], float]:
-    """Return the metric of each bootstrap resample of scenes, and its value over all scenes."""
-    counts = by_scene(trials)
-    draws = resample(len(counts), results.resamples, results.seed)
-    metric = MEASURES[measure]
-    samples = bootstrap_iou(counts, draws) if measure == "iou" else metric(draws @ counts.sum(axis=1))
-    return samples, float(metric(counts.sum(axis=(0, 1))[None])[0])
+def mark_best(names: Sequence[str], lines: Sequence[Line], enough: Sequence[bool]) -> list[Line]:
+    """Mark the best value of each column as `strong` among approaches not in `CONTROLS`, unless all are equal.
 
-
-def mark_best(names: Sequence[str], lines: Sequence[Line]) -> list[Line]:
-    """Mark the best value of each column as `strong` among approaches not in `CONTROLS`, unless all are equal."""
+    Args:
+        names: names of the approaches of the lines.
+        lines: rows of the table.
+        enough: whether a column has enough scenes to name a best approach.
+    """
     ranked = [place for place, name in enumerate(names) if name not in CONTROLS]
     marked = [list(line.cells) for line in lines]
-    for column in range(len(lines[0].cells)):
+    for column in (column for column, sufficient in enumerate(enough) if sufficient):
         values = {place: cell.value for place in ranked if (cell := lines[place].cells[column]) is not None}
         for place in values:
             cell = lines[place].cells[column]
@@ -178,7 +201,7 @@ def _paired_differences(results: Results, columns: list[Column]) -> list[Layout]
     compared = pairs(results.approaches)
     if not compared:
         return []
-    note = f"With {CONFIDENCE:.0%} intervals over scenes (paired bootstrap); bold if the interval excludes 0."
+    note = f"Paired differences, {described_spread(results)}; bold if the interval excludes 0."
     return [
         Layout(
             f"paired_{measure}", title, note, columns,
@@ -195,28 +218,28 @@ def _difference(results: Results, pair: tuple[str, str], columns: list[Column], 
     """Return the row of the differences of one pair of approaches."""
     cells: list[Cell | None] = []
     for at in columns:
-        ours, theirs = (results.counts.get(Key(name, at.category, at.cell_width), {}) for name in pair)
-        shared = [trial for trial in ours if trial in theirs]
-        if not shared:
-            cells.append(None)
-            continue
-        samples, value = bootstrap(results, {trial: ours[trial] for trial in shared}, measure)
-        other_samples, other_value = bootstrap(results, {trial: theirs[trial] for trial in shared}, measure)
-        low, high = interval(samples - other_samples)
-        cells.append(Cell(value - other_value, low, high, strong=low > 0 or high < 0))
+        ours, theirs = (select(results.trials, name, at.category, at.cell_width) for name in pair)
+        found = difference(ours, theirs, results.bootstrap, measure)
+        cells.append(found and Cell(found, excludes_zero(found)))
     return Line(" − ".join(map(label, pair)), cells)
 
 
+def excludes_zero(found: Estimate) -> bool:
+    """Return whether the interval of a difference excludes 0."""
+    return found.low > 0 or found.high < 0
+
+
 def to_csv(layout: Layout) -> str:
-    """Return the table as CSV with columns for value and interval, e.g. chair_3m, chair_3m_low, chair_3m_high."""
+    """Return the table as CSV with columns for value, interval and deviation: chair_3m, chair_3m_low, and so on."""
     heads = [f"{at.category}_{at.cell_width:g}m" for at in layout.columns]
-    rows = [["source", "approach", *(f"{head}{end}" for head in heads for end in ("", "_low", "_high"))]]
+    ends = "", "_low", "_high", "_seed_std"
+    rows = [["source", "approach", *(f"{head}{end}" for head in heads for end in ends)]]
     for block, lines in layout.blocks:
         for name, cells in lines:
             values = [
                 layout.text(value) if math.isfinite(value) else ""
                 for cell in cells
-                for value in (cell or Cell(math.nan))[:3]
+                for value in (cell.estimate if cell else Estimate(math.nan))
             ]
             rows.append([block, name, *values])
     return csv_text(rows)
@@ -224,12 +247,15 @@ def to_csv(layout: Layout) -> str:
 
 def to_markdown(layout: Layout) -> str:
     """Return the table as Markdown with title and note; each interval follows its value."""
-    heads = ["", *(f"{at.category}, {at.cell_width:g} m" for at in layout.columns)]
+    heads = ["", *(f"{markdown_text(at.category)}, {at.cell_width:g} m" for at in layout.columns)]
     lines = [f"**{layout.title}.** {layout.note}", "", *map(markdown_row, (heads, ["---"] * len(heads)))]
     for block, rows in layout.blocks:
         if len(layout.blocks) > 1:
-            lines.append(markdown_row([f"*{block}*", *[""] * len(layout.columns)]))
-        lines += [markdown_row([name, *(_marked(layout, cell) for cell in cells)]) for name, cells in rows]
+            lines.append(markdown_row([f"*{markdown_text(block)}*", *[""] * len(layout.columns)]))
+        lines += [
+            markdown_row([markdown_text(name), *(_marked(layout, cell) for cell in cells)])
+            for name, cells in rows
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -238,12 +264,12 @@ def _marked(layout: Layout, cell: Cell | None) -> str:
     if cell is None:
         return "–"
     value = layout.text(cell.value)
-    return f"{f'**{value}**' if cell.strong else value} {layout.span(cell)}".rstrip()
+    return f"{f'**{value}**' if cell.strong else value} {layout.spread(cell)}".rstrip()
 
 
 LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$", "±": r"$\pm$",
 }  # fmt: skip
 """LaTeX commands of special characters."""
 
@@ -285,8 +311,8 @@ def to_latex(layout: Layout) -> str:
             )
         for name, cells in rows:
             lines.append(" & ".join([escaped(name), *(_typeset(layout, cell) for cell in cells)]) + r" \\")
-            if any(cell and layout.span(cell) for cell in cells):
-                spans = [f"{{\\scriptsize {layout.span(cell)}}}" if cell else "" for cell in cells]
+            if any(cell and layout.spread(cell) for cell in cells):
+                spans = [f"{{\\scriptsize {escaped(layout.spread(cell))}}}" if cell else "" for cell in cells]
                 lines.append(" & ".join(["", *spans]) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table*}"]) + "\n"
 

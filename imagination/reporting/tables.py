@@ -1,74 +1,107 @@
-"""Rows of the tables of the mapping task, and tables for the terminal."""
+"""Tables of the mapping task as data frames, and their text for files and the terminal."""
 
-from collections.abc import Sequence
-from itertools import product
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+import pandas as pd
 from rich.table import Table
 
 from imagination.evaluation.approaches import REFERENCE
-from imagination.evaluation.metrics import bootstrap_iou, interval, iou, mean_iou, pooled_iou, resample
-from imagination.evaluation.protocol import MappingProtocol
-from imagination.evaluation.records import Report
+from imagination.evaluation.metrics import iou
+from imagination.evaluation.record_files import PIXELS
+from imagination.reporting.statistics import (
+    KEY,
+    Bootstrap,
+    counts_of,
+    difference,
+    estimate,
+    groups,
+    select,
+)
 from imagination.utils.tabular import Row
 
-PIXELS = "correct_pixels", "false_positives", "gt_pixels"
-"""Columns of the three counts."""
+MAPPING = (
+    *("approach", "category", "cell_width", "trials", "seeds", "iou_pooled", "iou_mean", "iou_ci_low", "iou_ci_high"),
+    *("iou_seed_std", *PIXELS),
+)  # fmt: skip
+"""Columns of mapping.csv, which other programs read."""
 
-MAIN = (
-    "approach",
-    "category",
-    "cell_width",
-    "trials",
-    "iou_pooled",
-    "iou_mean",
-    "iou_ci_low",
-    "iou_ci_high",
-    *PIXELS,
-)
-"""First columns of mapping.csv, and the columns in mapping.md."""
+MAPPING_SEEDS = ("approach", "category", "cell_width", "seed", "trials", "iou_pooled", "iou_mean", *PIXELS)
+"""Columns of mapping_seeds.csv."""
 
 SCREEN_MAPPING = (
-    "approach", "category", "cell_width", "iou_pooled", "iou_ci_low", "iou_ci_high", *PIXELS,
+    *("approach", "category", "cell_width", "iou_pooled", "iou_ci_low", "iou_ci_high", "iou_seed_std", *PIXELS),
 )  # fmt: skip
 """Columns of the results table in the terminal."""
 
-SCREEN_PAIRED = "difference", "category", "cell_width", "iou_pooled", "ci_low", "ci_high", "correct_pixels"
+SCREEN_SWEEP = (
+    *("category", "cell_width", "iou_pooled", "iou_ci_low", "iou_ci_high", "iou_seed_std", "correct_pixels"),
+)  # fmt: skip
+"""Columns of the table of a sweep in the terminal, after the swept keys."""
+
+SCREEN_PAIRED = (
+    *("difference", "category", "cell_width", "iou_pooled", "ci_low", "ci_high", "iou_seed_std", "correct_pixels"),
+)  # fmt: skip
 """Columns of the table of paired differences in the terminal."""
 
 
-def mapping_rows(report: Report, protocol: MappingProtocol, resolution: float) -> list[Row]:
-    """Return one row for each approach, category and cell width."""
+def mapping(trials: pd.DataFrame, bootstrap: Bootstrap) -> pd.DataFrame:
+    """Return one row for each approach, category and cell width; counts are means over seeds."""
     rows = []
-    for key, counts in report.counts.items():
-        low, high = interval(bootstrap_iou(counts, resample(len(counts), protocol.resamples, protocol.seed)))
-        correct, false, gt = counts.sum(axis=(0, 1)).tolist()
-        selected = report.selected[key.approach, key.category]
+    for key, group in groups(trials):
+        counts = counts_of(group)
+        value, low, high, seed_std = estimate(counts, bootstrap)
+        each = iou(group[list(PIXELS)].to_numpy())
+        seeds = len(counts)
+        pixels = [_whole(total / seeds) for total in counts.sum(axis=(0, 1)).tolist()]
+        rows.append((*key, len(group) // seeds, seeds, value, each.mean(), low, high, seed_std, *pixels))
+    return pd.DataFrame(rows, columns=list(MAPPING))
+
+
+def mapping_seeds(trials: pd.DataFrame) -> pd.DataFrame:
+    """Return one row for each approach, category, cell width and training seed."""
+    rows = []
+    for key, group in groups(trials):
+        for seed, part in group.groupby("seed"):
+            counts = part[list(PIXELS)].to_numpy()
+            total = counts.sum(axis=0)
+            rows.append((*key, seed, len(part), float(iou(total)), iou(counts).mean(), *total.tolist()))
+    return pd.DataFrame(rows, columns=list(MAPPING_SEEDS))
+
+
+def details(trials: pd.DataFrame, about: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the selected threshold and kernel, the area and the IoU by cells and order of each row of the results.
+
+    Args:
+        trials: trials of one training seed.
+        about: content of evaluation.json; see `record_files`.
+    """
+    selected = {(each["approach"], each["category"]): each for each in about["selected"]}
+    rows = []
+    for key, group in groups(trials):
+        total, shuffled, seen = (
+            counts_of(group, suffix).sum(axis=(0, 1)) for suffix in ("", "_shuffled", "_seen")
+        )
+        chosen = selected.get(key[:2], {})
         rows.append(
             {
-                "approach": key.approach,
-                "category": key.category,
-                "cell_width": f"{key.cell_width:g}",
-                "trials": str(counts.shape[0] * counts.shape[1]),
-                "iou_pooled": f"{pooled_iou(counts):.4f}",
-                "iou_mean": f"{mean_iou(counts):.4f}",
-                "iou_ci_low": f"{low:.4f}",
-                "iou_ci_high": f"{high:.4f}",
-                "correct_pixels": str(correct),
-                "false_positives": str(false),
-                "gt_pixels": str(gt),
-                "area_m2": f"{correct * resolution**2:.4f}",
-                "resolution": f"{resolution:g}",
-                "scenes": str(counts.shape[0]),
-                "scenes_left_out": str(len(report.left_out[key.category])),
-                "threshold": f"{selected.threshold:.2f}",
-                "kernel_m": f"{selected.kernel:g}",
-                "iou_shuffled": f"{pooled_iou(report.shuffled[key]):.4f}",
-                "iou_seen": f"{pooled_iou(report.seen[key]):.4f}",
-                "iou_unseen": f"{pooled_iou(counts - report.seen[key]):.4f}",
-                "iou_val": f"{selected.iou:.4f}",
+                **dict(zip(KEY, key, strict=True)),
+                "seed": about["seed"],
+                "scenes": group["scene"].nunique(),
+                "scenes_left_out": about["left_out"].get(key[1], 0),
+                "resolution": about["resolution"],
+                "area_m2": float(total[0]) * about["resolution"] ** 2,
+                "threshold": chosen.get("threshold", math.nan),
+                "kernel_m": chosen.get("kernel", math.nan),
+                "iou_val": chosen.get("iou", math.nan),
+                "iou_shuffled": float(iou(shuffled)),
+                "iou_seen": float(iou(seen)),
+                "iou_unseen": float(iou(total - seen)),
             }
         )
-    return rows
+    return pd.DataFrame(rows)
 
 
 def pairs(approaches: Sequence[str]) -> list[tuple[str, str]]:
@@ -76,74 +109,103 @@ def pairs(approaches: Sequence[str]) -> list[tuple[str, str]]:
     return [(REFERENCE, name) for name in approaches if name != REFERENCE and REFERENCE in approaches]
 
 
-def paired_rows(report: Report, protocol: MappingProtocol) -> list[Row]:
-    """Return paired differences of pooled IoU between approaches, with bootstrap intervals over scenes."""
+def paired(trials: pd.DataFrame, bootstrap: Bootstrap) -> pd.DataFrame:
+    """Return paired differences of pooled IoU between approaches, with intervals over scenes."""
     rows = []
-    compared = pairs(list(dict.fromkeys(key.approach for key in report.counts)))
-    for (first, second), (key, counts) in product(compared, report.counts.items()):
-        if key.approach != second:
+    names = list(trials["approach"].unique())
+    places = trials[["category", "cell_width"]].drop_duplicates().itertuples(index=False)
+    by_second = [(first, second, *place) for place in places for first, second in pairs(names)]
+    for first, second, category, width in sorted(by_second, key=lambda row: names.index(row[1])):
+        ours, theirs = (select(trials, name, category, width) for name in (first, second))
+        if (found := difference(ours, theirs, bootstrap, "iou")) is None:
             continue
-        ours = report.counts[key._replace(approach=first)]
-        draws = resample(len(counts), protocol.resamples, protocol.seed)
-        low, high = interval(bootstrap_iou(ours, draws) - bootstrap_iou(counts, draws))
+        pixels = difference(ours, theirs, bootstrap, "correct_pixels")
         rows.append(
             {
-                "category": key.category,
-                "cell_width": f"{key.cell_width:g}",
+                "category": category,
+                "cell_width": width,
                 "difference": f"{first} - {second}",
-                "iou_pooled": f"{pooled_iou(ours) - pooled_iou(counts):+.4f}",
-                "ci_low": f"{low:+.4f}",
-                "ci_high": f"{high:+.4f}",
-                "correct_pixels": f"{int(ours[..., 0].sum() - counts[..., 0].sum()):+d}",
-                "scenes": str(len(counts)),
+                "iou_pooled": found.value,
+                "ci_low": found.low,
+                "ci_high": found.high,
+                "iou_seed_std": found.seed_std,
+                "correct_pixels": _whole(pixels.value if pixels else math.nan),
+                "scenes": ours["scene"].nunique(),
             }
         )
-    return rows
+    return pd.DataFrame(rows)
 
 
-def trial_rows(report: Report) -> list[Row]:
-    """Return the counts of every trial, from which all tables are computed."""
+def furniture(unseen: pd.DataFrame, known: pd.DataFrame, bootstrap: Bootstrap) -> pd.DataFrame:
+    """Return pooled IoU with intervals in scenes with training furniture (not trained on) and in test scenes."""
+    rows = []
+    for key, group in groups(known):
+        row = dict(zip(KEY, key, strict=True))
+        for name, part in (("known", group), ("unseen", select(unseen, *key))):
+            value, low, high, _ = estimate(counts_of(part), bootstrap)
+            row |= {f"iou_{name}": value, f"ci_low_{name}": low, f"ci_high_{name}": high}
+            row |= {f"scenes_{name}": part["scene"].nunique()}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def networks(rows: Iterable[Row], first_person: Mapping[str, float]) -> list[Row]:
+    """Return the rows on the training of the networks, with the IoU of predicted images by category."""
     return [
         {
-            "approach": key.approach,
-            "category": key.category,
-            "cell_width": f"{key.cell_width:g}",
-            "scene": scene,
-            "viewpoint_set": str(number),
-            "iou": f"{float(iou(counts[place, number])):.4f}",
-            **dict(zip(PIXELS, map(str, counts[place, number].tolist()), strict=True)),
+            **{name: value for name, value in row.items() if name != "kind"},
+            "iou_first_person": (
+                f"{first_person[row['category']]:.4f}"
+                if row["kind"] == "images" and row["category"] in first_person
+                else ""
+            ),
         }
-        for key, counts in report.counts.items()
-        for place, scene in enumerate(report.scenes[key.category])
-        for number in range(counts.shape[1])
+        for row in rows
     ]
 
 
-def furniture_rows(unseen: Report, known: Report, protocol: MappingProtocol) -> list[Row]:
-    """Return pooled IoU with intervals in scenes with training furniture (not trained on) and in test scenes."""
-    rows = []
-    for key, counts in known.counts.items():
-        row = {"approach": key.approach, "category": key.category, "cell_width": f"{key.cell_width:g}"}
-        for name, part in (("known", counts), ("unseen", unseen.counts[key])):
-            draws = resample(len(part), protocol.resamples, protocol.seed)
-            low, high = interval(bootstrap_iou(part, draws))
-            row |= {
-                f"iou_{name}": f"{pooled_iou(part):.4f}",
-                f"ci_low_{name}": f"{low:.4f}",
-                f"ci_high_{name}": f"{high:.4f}",
-                f"scenes_{name}": str(len(part)),
-            }
-        rows.append(row)
-    return rows
+FORMATS = {
+    "cell_width": "g",
+    "kernel_m": "g",
+    "resolution": "g",
+    "threshold": ".2f",
+    **dict.fromkeys(PIXELS, ".1f"),
+}
+"""Formats of numbers with a fraction by column; four decimals if it is not listed."""
+
+SIGNED = {**dict.fromkeys(("iou_pooled", "ci_low", "ci_high"), "+.4f"), "correct_pixels": "+.1f"}
+"""Formats of differences by column."""
+
+
+def text(frame: pd.DataFrame, formats: Mapping[str, str] = FORMATS) -> list[Row]:
+    """Return the rows of a table as text; equal numbers give equal text, NaN is empty."""
+    columns = [(name, formats.get(name, FORMATS.get(name, ".4f"))) for name in frame.columns]
+    return [
+        {name: _text(value, form) for (name, form), value in zip(columns, row, strict=True)}
+        for row in frame.itertuples(index=False)
+    ]
+
+
+def _text(value: Any, form: str) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else format(value, form)
+    return format(value, "+d" if form.startswith("+") else "d") if isinstance(value, int) else str(value)
+
+
+def _whole(value: float) -> int | float:
+    """Return a number without its fraction if it has none."""
+    return int(value) if value == round(value) else value
 
 
 def to_screen(rows: Sequence[Row], title: str, columns: Sequence[str]) -> Table:
-    """Return some columns of a table as a narrow table for the terminal."""
+    """Return some columns of a table, as far as they have values, as a narrow table for the terminal."""
     table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
-    for column in columns:
+    shown = [column for column in columns if any(row[column] for row in rows)]
+    for column in shown:
         left = column in ("approach", "category", "difference")
         wrap = column == "difference"  # contains two long names
-        table.add_column(column.replace("_", "\n"), justify="left" if left else "right", no_wrap=not wrap)
+        heading = re.sub(r"_|(?<=\.)", "\n", column)
+        table.add_column(heading, justify="left" if left else "right", no_wrap=not wrap)
     for row in rows:
-        table.add_row(*(row[column] for column in columns))
+        table.add_row(*(row[column] for column in shown))
     return table

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 import stat
 from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
@@ -75,8 +76,12 @@ def _read_text(path: Path) -> str:
     return content.decode()
 
 
+FORMULA = re.compile(r"[=+\-@\t\r']")
+"""First characters of text that spreadsheet programs run as a formula, and the apostrophe that prevents it."""
+
+
 def read_csv(path: Path) -> list[dict[str, str]]:
-    """Read the rows of a table.
+    """Read the rows of a table that `csv_text` wrote.
 
     Raises:
         ValueError: if a row is shorter or longer than the header.
@@ -86,7 +91,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
     for number, row in enumerate(rows, 2):
         if None in row or None in row.values():
             raise ValueError(f"line {number} does not fit the header")
-    return rows
+    return [{name: value.removeprefix("'") for name, value in row.items()} for row in rows]
 
 
 Row = dict[str, str]
@@ -94,10 +99,33 @@ Row = dict[str, str]
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Return rows, the header first, as comma-separated text."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
+    """Return rows, the header first, as comma-separated text.
+
+    An apostrophe precedes text that a spreadsheet program would run as a formula; `read_csv` removes it.
+    """
+    lines = []
+    for row in rows:
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\r\n").writerow(
+            map(_csv_cell, row)
+        )  # quotes both characters in cells
+        lines.append(text.getvalue().removesuffix("\r\n") + "\n")
+    return "".join(lines)
+
+
+def _csv_cell(cell: object) -> object:
+    if isinstance(cell, str) and FORMULA.match(cell) and not is_number(cell):
+        return f"'{cell}"
+    return cell
+
+
+def is_number(text: str) -> bool:
+    """Return whether text is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def to_csv(rows: Sequence[Row]) -> str:
@@ -109,11 +137,26 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 
 def to_markdown(rows: Sequence[Row], columns: Sequence[str]) -> str:
-    """Return some columns of a table as Markdown."""
-    lines = [columns, ["---"] * len(columns), *([row[column] for column in columns] for row in rows)]
-    return "\n".join(map(markdown_row, lines))
+    """Return some columns of a table as Markdown; the text of cells is escaped."""
+    cells = [[markdown_text(row[column]) for column in columns] for row in rows]
+    heads = [markdown_text(column) for column in columns]
+    return "\n".join(map(markdown_row, [heads, ["---"] * len(columns), *cells]))
+
+
+MARKDOWN = {letter: f"\\{letter}" for letter in "\\`*[]|"} | {"<": "&lt;", "&": "&amp;", "\n": " ", "\r": " "}
+"""Replacements of characters that Markdown would not show as text; an underscore in a word is text."""
+
+
+def markdown_text(text: str) -> str:
+    """Escape text for Markdown, tables included."""
+    return "".join(MARKDOWN.get(letter, letter) for letter in text)
+
+
+def markdown_code(text: str) -> str:
+    """Return text as a code span of Markdown."""
+    return f"`{' '.join(text.split()).replace('`', chr(39))}`"
 
 
 def markdown_row(cells: Sequence[str]) -> str:
-    """Return cells as one line of a Markdown table."""
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    """Return cells, which are Markdown, as one line of a table."""
+    return "| " + " | ".join(cells) + " |"

@@ -178,7 +178,7 @@ def section(name: str, folder: str) -> None:
 
 def machine() -> None:
     """Print the provenance common to all sections as one line of JSON."""
-    from imagination.utils.hardware import hardware
+    from imagination.utils.provenance import hardware
     from tests.benchmarks.subjects import SEED
 
     about = {

@@ -57,8 +57,8 @@ def test_a_whole_run(command: Command, tmp_path: Path) -> None:
     done = command(*line.partition("imagination.")[2].split())
     assert done.returncode == 0, done.stderr
     evaluated = next(run.parent.glob("evaluate_*"))
-    for table in ("mapping.csv", "paired.csv", "trials.csv"):
-        assert (evaluated / "tables" / table).read_bytes() == (run / "tables" / table).read_bytes()
+    for table in ("tables/mapping.csv", "tables/paired.csv", "records/trials.csv"):
+        assert (evaluated / table).read_bytes() == (run / table).read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_the_study_reuses_finished_runs(command: Command, tmp_path: Path) -> Non
     assert second.stderr.count("already trained") == 3 and "training epochs" not in second.stderr
     tables = [path / "tables" for path in sorted((tmp_path / "outputs" / "study").glob("2*"))]
     assert len(tables) == 2
-    for name in ("mapping.csv", "paired.csv", "trials.csv", "training.csv", "furniture.csv"):
+    for name in ("mapping.csv", "paired.csv", "mapping_details.csv", "training.csv", "furniture.csv"):
         assert (tables[0] / name).read_bytes() == (tables[1] / name).read_bytes()
     rows = list(csv.DictReader((tables[0] / "mapping.csv").read_text().splitlines()))
     approaches = {

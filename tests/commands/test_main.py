@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from imagination.__main__ import commands
-from imagination.utils.hardware import command_line
+from imagination.utils.provenance import command_line
 from tests.conftest import ROOT
 
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]

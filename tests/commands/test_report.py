@@ -27,13 +27,17 @@ def test_a_page_in_the_folder_or_for_the_documentation(command: Command, tmp_pat
 @pytest.mark.parametrize(
     ("arguments", "written"),
     [
-        (["folder=outputs/run"], (Path("outputs/run"), None)),
-        (["folder=run", "docs=docs/study"], (Path("run"), Path("docs/study"))),
-        (["folder='my run,2'"], (Path("my run,2"), None)),
+        (["folder=outputs/run"], (Path("outputs/run"), None, None)),
+        (["folder=run", "docs=docs/study"], (Path("run"), Path("docs/study"), None)),
+        (["folder=run", "output=mine"], (Path("run"), None, Path("mine"))),
+        (["folder='my run,2'"], (Path("my run,2"), None, None)),
     ],
 )
 def test_overrides_choose_the_folder_and_the_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], written: tuple[Path, Path | None]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    written: tuple[Path, Path | None, Path | None],
 ) -> None:
     """The files of a report are tested in tests/reporting."""
     calls = []
@@ -52,6 +56,7 @@ def test_overrides_choose_the_folder_and_the_page(
     [
         ([], "folder: got none, expected"),
         (["folder=nowhere"], "folder: got nowhere"),
+        (["folder=a", "output=b", "docs=c"], "output: got b and docs=c"),
         (["nowhere", "--docs", "page"], "imagination.report folder=nowhere docs=page"),
         (["folder=a", "--docs"], "--docs"),
     ],

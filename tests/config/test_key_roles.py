@@ -14,6 +14,7 @@ ELSEWHERE = (
     "ckpt",
     "ade20k",
     "experiments",
+    "seeds",
     "compare",
     "study",
 )

@@ -1,5 +1,6 @@
 """Hand-made results folders of an evaluation of small random maps."""
 
+import json
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from imagination.evaluation import saved_maps, single_views
+from imagination.evaluation import record_files, saved_maps, single_views
 from imagination.evaluation.saved_maps import SavedMaps
 from imagination.evaluation.single_views import CELLS, SingleView, SingleViews
 from imagination.evaluation.trials import Trial
@@ -16,7 +17,8 @@ from imagination.geometry.grid import Grid
 APPROACHES = ["seg_gt", "imagination_seen", "imagination", "mine"]
 CATEGORIES = ["chair", "bed"]
 WIDTHS = [3.0, 2.0]
-SCENES = ["test_0000", "test_0001", "test_0002"]
+SCENES = [f"test_{number:04d}" for number in range(6)]
+WITHOUT_BED = SCENES[-1]
 SETS = 2
 
 
@@ -47,7 +49,7 @@ def make_maps(trial: Trial, rng: np.random.Generator) -> SavedMaps:
     level = np.stack([rng.integers(0, 70, shape) + 10 * (at + 1) * gt for at in range(len(APPROACHES))])
     level = np.where(rng.random(level.shape) < 0.6, 0, level).clip(0, 99)
     threshold = np.arange(30, 30 + len(APPROACHES) * len(CATEGORIES), dtype=np.uint8)
-    present = np.array([True, trial.scene != SCENES[2]])
+    present = np.array([True, trial.scene != WITHOUT_BED])
     seen = np.ones(shape[1:], bool)
     return SavedMaps(
         trial, APPROACHES, CATEGORIES, level.astype(np.uint8), threshold.reshape(-1, len(CATEGORIES)),
@@ -73,12 +75,60 @@ def make_single_views(rng: np.random.Generator) -> SingleViews:
     return SingleViews(shown, counts, {key: falling for key in product(CELLS, CATEGORIES)}, 12, 0.1)
 
 
+def make_about(seed: int) -> dict[str, Any]:
+    """Return the content of records/evaluation.json."""
+    return {
+        "version": record_files.VERSION,
+        "seed": seed,
+        "resolution": 0.1,
+        "sensor": "16 x 16 pixels",
+        "precision": "32-true",
+        "protocol": {
+            "cell_widths": WIDTHS,
+            "viewpoint_sets": SETS,
+            "orientations": 3,
+            "seed": 0,
+            "resamples": 200,
+        },
+        "approaches": {name: {"rule": "Max()", "postprocess": "none"} for name in APPROACHES},
+        "selected": [
+            {"approach": approach, "category": category, "threshold": 0.3, "kernel": 0.0, "iou": 0.25}
+            for approach, category in product(APPROACHES, CATEGORIES)
+        ],
+        "scenes": {"chair": len(SCENES), "bed": len(SCENES) - 1},
+        "left_out": {"chair": 0, "bed": 1},
+        "viewpoints": {
+            "sets": SETS * len(SCENES) * len(WIDTHS),
+            "empty": 0,
+            "viewpoints": 40,
+            "moved": 0.125,
+        },
+        "first_person": {},
+        "networks": [],
+        "credits": [],
+        "seconds": 12.25,
+        "provenance": {
+            "date": "2026-11-30T12:00:00+00:00",
+            "version": "0.1.0",
+            "commit": "0123456789abcdef",
+            "command": "python -m imagination.train +experiment=made",
+            "processor": "a processor, 2 cores",
+        },
+        "folder": "/outputs/made/2026-11-30_12-00-00",
+    }
+
+
 def make_folder(folder: Path, drawn: int = 0, **changes: Any) -> Path:
-    """Write config, maps, tables counted by plain loops, and single views."""
+    """Write config, maps, records counted by plain loops, and single views."""
     rng = np.random.default_rng(drawn)
-    (folder / "tables").mkdir(parents=True)
-    (folder / "config.yaml").write_text(yaml.safe_dump(make_config(**changes), sort_keys=False))
-    lines = ["approach,category,cell_width,scene,viewpoint_set,iou,correct_pixels,false_positives,gt_pixels"]
+    (folder / "records").mkdir(parents=True)
+    (folder / "tables").mkdir()
+    config = make_config(**changes)
+    (folder / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
+    lines = [",".join(record_files.COLUMNS)]
+    rows: dict[tuple[str, str, float], list[str]] = {
+        key: [] for key in product(APPROACHES, CATEGORIES, WIDTHS)
+    }
     for scene, width, number in product(SCENES, WIDTHS, range(SETS)):
         maps = make_maps(Trial(scene, width, number), rng)
         saved_maps.save(folder, maps)
@@ -89,10 +139,30 @@ def make_folder(folder: Path, drawn: int = 0, **changes: Any) -> Path:
                 predicted = maps.level[place, layer] >= maps.threshold[place, layer]
                 gt = maps.truth[layer]
                 correct, false = int((predicted & gt).sum()), int((predicted & ~gt).sum())
-                value = correct / (false + int(gt.sum()))
-                lines.append(
-                    f"{approach},{category},{width:g},{scene},{number},{value:.4f},{correct},{false},{int(gt.sum())}"
+                counts = f"{correct},{false},{int(gt.sum())}"
+                rows[approach, category, width].append(
+                    f"test,{approach},{category},{width:g},{scene},{number},{counts},{counts},{counts}"
                 )
-    (folder / "tables" / "trials.csv").write_text("\n".join(lines) + "\n")
+    lines += [line for group in rows.values() for line in group]
+    (folder / "records" / "trials.csv").write_text("\n".join(lines) + "\n")
+    seed = config["seed"] if isinstance(config["seed"], int) else 0
+    write_about(folder, make_about(seed))
     single_views.write(folder, make_single_views(rng))
     return folder
+
+
+def read_about(folder: Path) -> dict[str, Any]:
+    """Return the content of records/evaluation.json."""
+    about: dict[str, Any] = json.loads((folder / "records" / "evaluation.json").read_text())
+    return about
+
+
+def write_about(folder: Path, about: dict[str, Any]) -> None:
+    """Write records/evaluation.json."""
+    (folder / "records" / "evaluation.json").write_text(json.dumps(about))
+
+
+def set_command(folder: Path, command: str) -> None:
+    """Change the command in the records."""
+    about = read_about(folder)
+    write_about(folder, {**about, "provenance": {**about["provenance"], "command": command}})

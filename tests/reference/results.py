@@ -1,6 +1,5 @@
 """Compute what the reference holds, from today's code."""
 
-import csv
 import hashlib
 import json
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ from hydra.utils import instantiate
 from imagination.config.compose import compose
 from imagination.evaluation.trials import ViewpointSampling, trials_of, views_of
 from imagination.scenes.scene import Scene
+from imagination.utils.tabular import read_csv
 from imagination.views.observer import Observer
 from imagination.views.pose_samplers import sample_poses
 
@@ -79,17 +79,21 @@ def integer_maps(observer: Observer) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def table(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the IoU and pixel columns of a mapping.csv by approach, category and cell width."""
-    with open(path, newline="") as file:
-        rows = list(csv.DictReader(file))
-    return {
-        f"{row['approach']} {row['category']} {row['cell_width']}": {
-            name: float(value)
-            for name, value in row.items()
-            if name.startswith("iou") or name in ("correct_pixels", "false_positives", "gt_pixels")
-        }
-        for row in rows
-    }
+    """Return the IoU and pixel columns of mapping.csv and mapping_details.csv by approach, category and cell width.
+
+    The two test scenes of scale=test are too few for intervals.
+    """
+    merged: dict[str, dict[str, Any]] = {}
+    for file in (path, path.with_name("mapping_details.csv")):
+        for row in read_csv(file):
+            values = merged.setdefault(f"{row['approach']} {row['category']} {row['cell_width']}", {})
+            values |= {
+                name: float(value)
+                for name, value in row.items()
+                if value
+                and (name.startswith("iou") or name in ("correct_pixels", "false_positives", "gt_pixels"))
+            }
+    return merged
 
 
 def read_reference() -> dict[str, Any]:

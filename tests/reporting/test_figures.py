@@ -22,13 +22,13 @@ from imagination.reporting.html import drawings
 from imagination.reporting.load_run import Results
 from imagination.reporting.style import COLOURS, LABELS, MEANINGS, colours, label, theme
 from tests.conftest import ROOT
-from tests.helpers.run_folders import make_folder, make_maps
+from tests.helpers.run_folders import WITHOUT_BED, make_folder, make_maps
 
 
 def test_maps_are_counted_at_every_threshold() -> None:
     rng = np.random.default_rng(1)
-    maps = [make_maps(Trial(scene, 3.0, 0), rng) for scene in ("test_0000", "test_0002")]
-    counts = counts_by_threshold(maps)["mine", "bed"]  # test_0002 has no bed
+    maps = [make_maps(Trial(scene, 3.0, 0), rng) for scene in ("test_0000", WITHOUT_BED)]
+    counts = counts_by_threshold(maps)["mine", "bed"]
     level, gt = maps[0].level[3, 1], maps[0].truth[1]
     for step in (1, 30, 99):
         predicted = level >= step

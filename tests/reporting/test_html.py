@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
@@ -85,11 +86,11 @@ def test_a_second_report_is_the_same_bytes(folder: Path) -> None:
 
 def test_an_incomplete_folder_is_marked(folder: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(folder, tmp_path / "run")
-    table = copy / "tables" / "trials.csv"
+    table = copy / "records" / "trials.csv"
     table.write_text("".join(table.read_text().splitlines(keepends=True)[:-3]))
     shutil.rmtree(copy / "maps")
     (copy / "single_views.npz").unlink()
-    (copy / "tables" / "thresholds.csv").unlink()
+    (copy / "records" / "thresholds.csv").unlink()
     text = html.html(read(copy))
     assert '<div class="problems"' in text and "trials missing" in text and "maps/ is missing" in text
     assert '<div class="problems"' not in (folder / "report.html").read_text()
@@ -103,7 +104,10 @@ def test_names_from_tables_are_safe_file_names(tmp_path: Path) -> None:
     html.write_figures(tmp_path / "run" / "figures", content, kinds=("png",))
     written = {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()}
     folder = Path("run") / "figures"
-    assert written == {folder / "single__.._.._.._x.png", folder / f"{'ö' * 50}.png"}
+    assert written == {
+        folder / "single__.._.._.._x_05fcb30c.png",
+        folder / f"{'ö' * 41}_062c97f7.png",
+    }
 
 
 def test_names_with_signs_of_formulas_are_drawn_as_text() -> None:
@@ -120,9 +124,24 @@ def test_a_page_for_the_docs(folder: Path, tmp_path: Path) -> None:
     text = (tmp_path / "docs" / "study.md").read_text()
     for target in re.findall(r"\]\(([^)]+)\)", text):
         assert (tmp_path / "docs" / target).stat().st_size > 0
-    assert "| Imagination |" in text and "docs=docs/study" in text and "![" in text
+    assert "| Imagination |" in text and f"docs={tmp_path}/docs/study" in text and "![" in text
+    assert (tmp_path / "docs" / "study" / "mapping.csv").read_text() == (
+        folder / "tables" / "mapping.csv"
+    ).read_text()
 
 
+def browse(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run headless Chromium without network; console messages are in its stderr."""
+    options = [
+        "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--enable-logging=stderr",
+        f"--user-data-dir={tmp_path / 'profile'}", "--allow-file-access-from-files", "--proxy-server=127.0.0.1:9",
+    ]  # fmt: skip
+    assert BROWSER is not None
+    command = [BROWSER, *options, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome is installed; apt-get install chromium")
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_in_a_browser_nothing_overflows_and_every_picture_loads(
@@ -130,7 +149,7 @@ def test_in_a_browser_nothing_overflows_and_every_picture_loads(
 ) -> None:
     """At the width of a phone and of a desktop, side by side in frames of one document that measures them."""
     probe = tmp_path / "probe.html"
-    widths = 390, 1400
+    widths = 390, 1280
     frames = "".join(
         f'<iframe style="border:0;width:{width}px;height:2000px" src="{(folder / "report.html").as_uri()}"></iframe>'
         for width in widths
@@ -146,15 +165,9 @@ def test_in_a_browser_nothing_overflows_and_every_picture_loads(
         }}).join(" ; "); }};
         </script></body>"""
     )
-    options = [
-        "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1800,2000",
-        f"--user-data-dir={tmp_path / 'profile'}", "--allow-file-access-from-files", "--proxy-server=127.0.0.1:9",
-        f"--blink-settings=preferredColorScheme={0 if dark else 1}",
-    ]  # fmt: skip
-    assert BROWSER is not None
-    done = subprocess.run(
-        [BROWSER, *options, "--dump-dom", probe.as_uri()], capture_output=True, text=True, timeout=120
-    )
+    theme = f"--blink-settings=preferredColorScheme={0 if dark else 1}"
+    done = browse(tmp_path, "--window-size=1800,2000", theme, "--dump-dom", probe.as_uri())
+    assert "CONSOLE" not in done.stderr, done.stderr
     found = re.search(r'<p id="result">([^<]+)</p>', done.stdout)
     assert found, done.stderr
     for width, measured in zip(widths, found.group(1).split(" ; "), strict=True):
@@ -163,3 +176,24 @@ def test_in_a_browser_nothing_overflows_and_every_picture_loads(
         assert int(pictures) == int(loaded) > 10
         assert background == ("rgb(15, 19, 25)" if dark else "rgb(244, 246, 248)")
         assert int(tiny) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (BROWSER and shutil.which("pdftoppm")), reason="Chromium or poppler-utils is missing")
+def test_it_prints_on_a4_without_empty_pages_or_cut_figures(folder: Path, tmp_path: Path) -> None:
+    pdf = tmp_path / "report.pdf"
+    browse(tmp_path, f"--print-to-pdf={pdf}", "--no-pdf-header-footer", (folder / "report.html").as_uri())
+    subprocess.run(["pdftoppm", "-r", "40", "-png", pdf, tmp_path / "page"], check=True)
+    pages = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(tmp_path.glob("page*.png"))]
+    assert 3 < len(pages) < 40
+    for number, page in enumerate(pages):
+        height, width = page.shape
+        assert (width, height) == (331, 468)  # A4
+        inked = page < 250
+        rows = np.flatnonzero(inked.any(axis=1))
+        assert len(rows), f"page {number} is empty"
+        if number == 0:
+            assert rows[-1] > height / 2, "the first page is nearly empty"
+        margin = round(5 / 25.4 * 40)  # of 12 mm
+        assert not inked[:, :margin].any() and not inked[:, -margin:].any(), f"page {number} is cut"
+        assert not inked[:margin].any() and not inked[-margin:].any(), f"page {number} is cut"

@@ -1,6 +1,5 @@
 """Missing and damaged parts of a folder are reported and the rest is read."""
 
-import json
 import re
 from pathlib import Path
 
@@ -11,12 +10,13 @@ from tensorboard.compat.proto.event_pb2 import Event
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
-from imagination.evaluation.records import write_scenes
+from imagination.evaluation.record_files import COLUMNS, PIXELS, write_scenes
 from imagination.report import read
 from imagination.reporting.html import drawings
-from imagination.reporting.load_run import MAX_RESAMPLES, Results
+from imagination.reporting.load_run import MAX_RESAMPLES, TRIAL, Results
 from imagination.utils.errors import UserError
-from tests.helpers.run_folders import make_config, make_folder
+from imagination.utils.tabular import csv_text
+from tests.helpers.run_folders import make_config, make_folder, read_about, set_command, write_about
 
 
 def problems(folder: Path) -> str:
@@ -25,16 +25,16 @@ def problems(folder: Path) -> str:
 
 def test_missing_trials_are_reported(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run")
-    table = folder / "tables" / "trials.csv"
+    table = folder / "records" / "trials.csv"
     kept = [
         line
         for line in table.read_text().splitlines()
-        if not line.startswith("imagination,chair,2,test_0001")
+        if not line.startswith(("test,imagination,chair,2,test_0001", "test,mine,bed,3"))
     ]
-    table.write_text("\n".join(line for line in kept if not line.startswith("mine,bed,3")) + "\n")
+    table.write_text("\n".join(kept) + "\n")
     first, second = problems(folder).splitlines()
-    assert re.search(r"imagination, chair, .*2 m: 2 of 6 .*test_0001 set 0, test_0001 set 1", first)
-    assert re.search(r"mine, bed, .*3 m: 4 of 4 .*test_0000 set 0", second)
+    assert re.search(r"imagination, chair, .*2 m: 2 of 12 .*test_0001 set 0, test_0001 set 1", first)
+    assert re.search(r"mine, bed, .*3 m: 10 of 10 .*test_0000 set 0", second)
     stems = {table.stem for section in read(folder).sections for table in section.layouts}
     assert "iou" in stems
 
@@ -44,21 +44,24 @@ def test_a_category_without_trials_is_reported(tmp_path: Path) -> None:
     assert problems(folder).startswith("sofa: ") and "\n" not in problems(folder)
 
 
-def test_without_its_table_an_evaluation_is_counted_from_the_maps_so_far(tmp_path: Path) -> None:
+def test_without_its_records_an_evaluation_is_counted_from_the_maps_so_far(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run")
-    whole = Results(folder).counts
-    (folder / "tables" / "trials.csv").unlink()
+    whole = Results(folder).trials.set_index(TRIAL)
+    (folder / "records" / "trials.csv").unlink()
     (folder / "maps" / "test_0002_2m_1.npz").unlink()
     results = Results(folder)
-    for key, trials in whole.items():
-        for trial, counts in results.counts[key].items():
-            assert (counts == trials[trial]).all()
+    counted = results.trials.set_index(TRIAL)
+    assert len(counted) == len(whole) - 8
+    columns = list(PIXELS)
+    assert (counted[columns] == whole.loc[counted.index, columns]).all(axis=None)
     messages = "\n".join(results.problems)
-    assert "trials.csv is missing" in messages and "maps" in messages and "test_0002 set 1" in messages
+    assert (
+        "records/trials.csv is missing" in messages and "maps" in messages and "test_0002 set 1" in messages
+    )
 
 
 @pytest.mark.parametrize(
-    "name", ["tables/trials.csv", "tables/thresholds.csv", "tables/provenance.json", "maps/test_0000_3m_0.npz",
+    "name", ["records/trials.csv", "records/thresholds.csv", "records/evaluation.json", "maps/test_0000_3m_0.npz",
              "single_views.npz", "tables/ego.csv"],
 )  # fmt: skip
 def test_damaged_files_are_named_and_the_rest_is_shown(tmp_path: Path, name: str) -> None:
@@ -69,7 +72,9 @@ def test_damaged_files_are_named_and_the_rest_is_shown(tmp_path: Path, name: str
     else:
         path.write_text("a,b\n1\n" if name.endswith("ego.csv") else "approach,cells\nx,\x00\n{")
     content = read(folder)
-    assert any(name in problem and "damaged" in problem for problem in content.problems), content.problems
+    assert any(Path(name).name in problem and "damaged" in problem for problem in content.problems), (
+        content.problems
+    )
     assert any(section.layouts for section in content.sections)
 
 
@@ -82,7 +87,7 @@ def test_a_single_wrong_bit_is_named(tmp_path: Path, name: str) -> None:
     for place in range(60, len(whole), 397):  # in headers of the archive some change nothing
         (folder / name).write_bytes(whole[:place] + bytes([whole[place] ^ 8]) + whole[place + 1 :])
         results = Results(folder)
-        complete = len(results.maps) == 12 and bool(results.single_views[0])
+        complete = len(results.maps) == 24 and bool(results.single_views[0])
         named += f"{name} is damaged" in "".join(results.problems)
         assert complete != bool(results.problems)
     assert named > len(whole) // 397 / 2
@@ -126,25 +131,70 @@ def test_arrays_that_do_not_fit_are_named(
     [
         ("trials.csv", "seg_gt,chair,3,", "seg_gt,chair,nan,", "cell_width: got nan"),
         ("trials.csv", "seg_gt,chair,3,", "seg_gt,chair,0.5e9,", "cell_width: got 500000000.0"),
-        ("trials.csv", ",70\n", f",{10**30}\n", f"{10**30} ground-truth pixels"),
-        ("trials.csv", ",70\n", ",-70\n", "-70 ground-truth pixels"),
+        ("trials.csv", ",70\n", f",{10**30}\n", f"gt_pixels_shuffled: got {10**30}"),
+        ("trials.csv", ",70\n", ",-70\n", "gt_pixels_shuffled: got -70"),
+        ("trials.csv", ",70\n", ",1\n", "correct_shuffled of 1 ground-truth pixels"),
+        ("trials.csv", "test_0000,1", "test_0000,0", "an earlier row has as well"),
+        ("trials.csv", "gt_pixels_seen", "gt", "got no column gt_pixels_seen"),
+        ("trials.csv", "", "", "got no trials"),
         ("thresholds.csv", ",150\n", ",50\n", "50 ground-truth cells"),
     ],
 )
 def test_invalid_counts_are_named(tmp_path: Path, name: str, old: str, new: str, message: str) -> None:
     folder = make_folder(tmp_path / "run")
-    table = folder / "tables" / name
+    table = folder / "records" / name
     assert old in table.read_text()
-    table.write_text(table.read_text().replace(old, new, 1))
-    (problem,) = {line for line in read(folder).problems if line.startswith(f"tables/{name} is damaged")}
-    assert message in problem
+    table.write_text(table.read_text().replace(old, new, 1) if old else "")
+    (problem,) = {line for line in read(folder).problems if "is damaged" in line}
+    assert name in problem and message in problem
 
 
-@pytest.mark.parametrize("text", ["[1]", '{"seconds": "long"}', f'{{"seconds": {10**400}}}', "[" * 100_000])
-def test_an_invalid_provenance_is_named(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 0}, "records of version 0, expected 1"),
+        ({"seconds": "long"}, "seconds: got 'long', expected a number"),
+        ({"seconds": True}, "seconds: got True"),
+        ({"resolution": 0}, "resolution: got 0"),
+        ({"protocol": {}}, "protocol.seed: got None"),
+        ({"approaches": {"mine": "Max()"}}, "mine: got 'Max()', expected dict"),
+        ({"selected": [{"approach": 1}]}, "selected.approach: got 1"),
+        ({"networks": [{"a": "b"}, {"c": "d"}]}, "networks: got the columns c"),
+        ({"credits": [{"author": "x"}]}, "credits: got the columns author"),
+        ({"provenance": {"date": 5}}, "provenance: got 5, expected str"),
+        ({"left_out": {"chair": []}}, "left_out: got []"),
+    ],
+)
+def test_invalid_records_are_named(tmp_path: Path, change: dict[str, object], message: str) -> None:
     folder = make_folder(tmp_path / "run")
-    (folder / "tables" / "provenance.json").write_text(text)
-    assert "tables/provenance.json is damaged" in problems(folder)
+    write_about(folder, {**read_about(folder), **change})
+    (problem,) = {line for line in read(folder).problems if line.startswith("records/ is damaged")}
+    assert message in problem and str(folder / "records" / "evaluation.json") in problem
+
+
+@pytest.mark.parametrize("text", ["[1]", f'{{"seconds": {10**400}}}', "[" * 100_000])
+def test_records_that_no_evaluation_writes_are_named(tmp_path: Path, text: str) -> None:
+    folder = make_folder(tmp_path / "run")
+    (folder / "records" / "evaluation.json").write_text(text)
+    assert "records/ is damaged" in problems(folder) and "evaluation.json" in problems(folder)
+
+
+def test_text_of_records_returns_as_it_was(tmp_path: Path) -> None:
+    """A spreadsheet program would run a scene with such a name as a formula."""
+    folder = make_folder(tmp_path / "run")
+    names = {
+        "test_0000": "=cmd|' /C calc'!A0",
+        "test_0001": "-1+1",
+        "test_0002": "'quoted",
+        "test_0003": "@x",
+    }
+    table = folder / "records" / "trials.csv"
+    rows = [line.split(",") for line in table.read_text().splitlines()]
+    text = csv_text([[names.get(cell, cell) for cell in row] for row in rows])
+    table.write_text(text)
+    assert ",'=cmd" in text and ",'-1+1" in text and ",''quoted" in text and ",=" not in text
+    assert set(Results(folder).trials["scene"]) >= set(names.values())
+    assert list(rows[0]) == COLUMNS
 
 
 @pytest.mark.parametrize(
@@ -185,7 +235,7 @@ def test_yaml_that_no_run_writes_is_refused(tmp_path: Path, text: str) -> None:
 
 def test_more_resamples_than_an_interval_needs_are_not_drawn(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run", evaluation={"resamples": 10**9})
-    assert Results(folder).resamples == MAX_RESAMPLES
+    assert Results(folder).bootstrap.resamples == MAX_RESAMPLES
 
 
 def test_damaged_curves_are_named(tmp_path: Path) -> None:
@@ -219,7 +269,7 @@ def test_an_evaluation_shows_how_its_networks_were_trained(tmp_path: Path) -> No
             (run / "config.yaml").write_text(yaml.safe_dump(config))
     folder = make_folder(tmp_path / "study", ckpt=paths, choices=[])
     evaluated = "python -m imagination.evaluate +study=paper ckpt=[…]"
-    (folder / "tables" / "provenance.json").write_text(json.dumps({"command": evaluated}))
+    set_command(folder, evaluated)
     content = read(folder)
     assert content.problems == []
     assert content.commands == [
@@ -251,7 +301,7 @@ def test_an_evaluation_shows_how_its_networks_were_trained(tmp_path: Path) -> No
 def test_a_training_is_reproduced_with_its_first_command(tmp_path: Path, given: str, again: str) -> None:
     folder = make_folder(tmp_path / "run", choices=["+experiment=made"])
     command = f"python -m imagination.train {given}"
-    (folder / "tables" / "provenance.json").write_text(json.dumps({"command": command}))
+    set_command(folder, command)
     report = f"python -m imagination.report folder={folder}"
     assert read(folder).commands == [f"python -m imagination.train {again}", report]
     (tmp_path / "jobs.csv").write_text("")  # a sweep's job: its overrides, not the command of the sweep
@@ -274,16 +324,16 @@ def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
 def test_a_run_that_never_evaluated_is_shown_as_that(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(make_config()))
     content = read(tmp_path)
-    assert "trials.csv is missing" in content.problems[0]
+    assert "records/trials.csv is missing" in content.problems[0]
     assert content.sections == [] and "+experiment=made" in content.commands[0]
 
 
 def test_an_interrupted_evaluation_reports_its_missing_scenes(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run")
-    (folder / "tables" / "trials.csv").unlink()
-    write_scenes(folder / "tables", [f"test_{number:04d}" for number in range(5)])
-    assert problems(folder).endswith("3 of 5 scenes; missing: test_0003, test_0004")
-    assert dict(read(folder).facts)["Scenes"] == "Rooms, 3 of the test split"
+    (folder / "records" / "trials.csv").unlink()
+    write_scenes(folder, [f"test_{number:04d}" for number in range(8)])
+    assert problems(folder).endswith("6 of 8 scenes; missing: test_0006, test_0007")
+    assert dict(read(folder).facts)["Scenes"] == "Rooms, 6 of the test split"
 
 
 @pytest.mark.parametrize("left", ["test_0001_2m_0.npz", "test_0001_3m_1.npz"])
@@ -294,7 +344,7 @@ def test_whatever_maps_are_left_are_drawn(tmp_path: Path, left: str) -> None:
             path.unlink()
     content = read(folder)
     (problem,) = content.problems
-    assert problem.startswith("maps/: ") and "11 of 12" in problem
+    assert problem.startswith("maps/: ") and "23 of 24" in problem
     assert problem.endswith("(test_0000 3 m set 0, test_0000 3 m set 1, test_0001 3 m set 0, …)")
     for drawing in drawings(content):
         drawing.draw()

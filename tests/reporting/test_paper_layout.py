@@ -1,6 +1,7 @@
 """Tables in the paper's layout: recounted from the saved maps, best values bold, the paper's numbers as printed."""
 
 import csv
+import math
 from io import StringIO
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from imagination.reporting import paper_layout, paper_numbers
 from imagination.reporting.load_run import Results
 from imagination.reporting.paper_layout import Cell, Column, Layout, Line
+from imagination.reporting.statistics import Estimate
 from tests.helpers.run_folders import APPROACHES, CATEGORIES, SCENES, make_folder
 
 
@@ -18,9 +20,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_folder(tmp_path_factory.mktemp("made") / "run")
 
 
+def tables_of(folder: Path) -> dict[str, Layout]:
+    return {table.stem: table for table in paper_layout.tables(Results(folder))}
+
+
 @pytest.fixture(scope="module")
 def tables(folder: Path) -> dict[str, Layout]:
-    return {table.stem: table for table in paper_layout.tables(Results(folder))}
+    return tables_of(folder)
 
 
 def recount(folder: Path, approach: str, category: str, width: float) -> np.ndarray:
@@ -48,7 +54,7 @@ def test_tables_agree_with_a_recount_from_the_saved_maps(folder: Path, tables: d
             for category in CATEGORIES:
                 for width in (3.0, 2.0):
                     scenes = recount(folder, approach, category, width)
-                    assert len(scenes) == (3 if category == "chair" else 2)
+                    assert len(scenes) == (6 if category == "chair" else 5)
                     correct, false, truth = scenes.sum(axis=0)
                     expected = correct / (false + truth) if stem == "iou" else correct
                     at = head.index(f"{category}_{width:g}m")
@@ -64,29 +70,35 @@ def test_tables_agree_with_a_recount_from_the_saved_maps(folder: Path, tables: d
 
 
 def test_seen_and_unseen_cells_stand_apart(tmp_path: Path) -> None:
-    """As in mapping.csv; a damaged file is reported and left out."""
     folder = make_folder(tmp_path / "run")
-    assert "iou_by_cells" not in {table.stem for table in paper_layout.tables(Results(folder))}
-    lines = ["approach,category,cell_width,iou_seen,iou_unseen"]
-    lines += [
-        f"{name},{category},{width:g},0.{place}{at},0.0{at}"
-        for place, name in enumerate(APPROACHES)
-        for at, (category, width) in enumerate((c, w) for c in CATEGORIES for w in (3.0, 2.0))
-    ]
-    path = folder / "tables" / "mapping.csv"
-    path.write_text("\n".join(lines) + "\n")
-    table = {table.stem: table for table in paper_layout.tables(Results(folder))}["iou_by_cells"]
-    (seen, seen_lines), (_, unseen_lines) = table.blocks
+    path = folder / "records" / "trials.csv"
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    place = [rows[0].index(f"{name}_seen") for name in ("correct_pixels", "false_positives", "gt_pixels")]
+    for row in rows[1:]:
+        for column, value in zip(place, (10, 5, 40), strict=True):
+            row[column] = str(value)
+    path.write_text("\n".join(map(",".join, rows)) + "\n")
+    (seen, seen_lines), (_, unseen_lines) = tables_of(folder)["iou_by_cells"].blocks
     assert "saw" in seen
-    for place, line in enumerate(seen_lines):  # columns by width, then category
-        values = [cell and cell.value for cell in line.cells]
-        assert values == pytest.approx([place / 10 + at for at in (0, 0.02, 0.01, 0.03)])
-    assert [cell and cell.value for cell in unseen_lines[2].cells] == [0.0, 0.02, 0.01, 0.03]
-    assert [line.name for line in seen_lines if line.cells[0] and line.cells[0].strong] == ["mine"]
-    path.write_text("approach,category,cell_width\nimagination,chair,3\n")
-    results = Results(folder)
-    assert "iou_by_cells" not in {table.stem for table in paper_layout.tables(results)}
-    assert any("mapping.csv is damaged" in problem for problem in results.problems)
+    assert {cell and cell.value for line in seen_lines for cell in line.cells} == {10 / 45}
+    counts = recount(folder, "imagination", "chair", 3.0).sum(axis=0) - 12 * np.array([10, 5, 40])
+    cell = unseen_lines[APPROACHES.index("imagination")].cells[0]
+    assert cell and cell.value == counts[0] / counts[1:].sum()
+
+
+def test_too_few_scenes_have_no_interval_and_no_best_value(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "run")
+    path = folder / "records" / "trials.csv"
+    lines = [line for line in path.read_text().splitlines() if "test_0001" not in line]
+    path.write_text("\n".join(lines) + "\n")  # leaves five scenes with chairs, four with beds
+    for stem, table in tables_of(folder).items():
+        ours = table.blocks[0][1]
+        for place, at in enumerate(table.columns):
+            cells = [cell for line in ours if (cell := line.cells[place])]
+            if at.category == "bed":
+                assert not any(cell.strong or math.isfinite(cell.estimate.low) for cell in cells), stem
+            elif stem != "iou_by_cells":
+                assert all(math.isfinite(cell.estimate.low) for cell in cells), stem
 
 
 def test_pairs_are_resampled_together(folder: Path, tables: dict[str, Layout]) -> None:
@@ -100,12 +112,13 @@ def test_pairs_are_resampled_together(folder: Path, tables: dict[str, Layout]) -
             a, b = ours[picked].sum(axis=0), theirs[picked].sum(axis=0)
             return float(a[0] / a[1:].sum() - b[0] / b[1:].sum())
 
-        samples = [difference(rng.integers(0, 3, 3)) for _ in range(2000)]
+        samples = [difference(rng.integers(0, 6, 6)) for _ in range(2000)]
         cell = line.cells[0]
         assert cell is not None
-        assert cell.value == pytest.approx(difference(np.arange(3)))
-        assert (cell.low, cell.high) == pytest.approx(np.quantile(samples, [0.025, 0.975]), abs=0.01)
-        assert cell.strong == (cell.low > 0 or cell.high < 0)
+        assert cell.value == pytest.approx(difference(np.arange(6)))
+        interval = cell.estimate.low, cell.estimate.high
+        assert interval == pytest.approx(np.quantile(samples, [0.025, 0.975]), abs=0.01)
+        assert cell.strong == (interval[0] > 0 or interval[1] < 0)
 
 
 def test_the_best_approach_that_does_not_see_the_ground_truth_is_bold(tables: dict[str, Layout]) -> None:
@@ -127,7 +140,12 @@ def test_the_papers_numbers_and_their_bold_ones_are_as_printed() -> None:
     columns = [Column(width, category) for width in (3.0, 2.5, 2.0) for category in ("chair", "bed", "table")]
     names = ["seg_gt", "seg_hrnet", "imagination_seen", "imagination"]
     lines = paper_layout.mark_best(
-        names, [Line(name, [Cell(paper_numbers.IOU[name, *column]) for column in columns]) for name in names]
+        names,
+        [
+            Line(name, [Cell(Estimate(paper_numbers.IOU[name, *column])) for column in columns])
+            for name in names
+        ],
+        [True] * len(columns),
     )
     bold = [[place for place, line in enumerate(lines) if line.cells[at].strong] for at in range(9)]  # type: ignore
     assert bold == [[3], [3], [3], [3], [1], [3], [3], [1], [1]]
@@ -148,7 +166,7 @@ def test_markdown_and_latex_have_a_cell_for_each_column(tables: dict[str, Layout
         assert text.count("{") == text.count("}")
         body = [line for line in text.splitlines() if line.endswith(r"\\") and "multicolumn" not in line]
         assert {line.count("&") for line in body} == {4}
-        assert r"95\% interval" in text
+        assert (r"95\% interval" in text) == (table.stem != "iou_by_cells")
     assert r"$\mathbf{" in paper_layout.to_latex(tables["iou"]) and "**" in paper_layout.to_markdown(
         tables["iou"]
     )
@@ -167,5 +185,5 @@ def test_names_cannot_break_a_table() -> None:
 
 def test_all_scenes_are_used(folder: Path) -> None:
     results = Results(folder)
-    assert {scene for trials in results.counts.values() for scene, _ in trials} == set(SCENES)
+    assert results.scenes == SCENES
     assert results.problems == []

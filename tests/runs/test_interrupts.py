@@ -20,7 +20,7 @@ from tests.runs.test_resume import points
 
 JOB = ["+experiment=chair_unet", "scale=test"]
 LATEST = Path("outputs") / "chair_unet" / "latest"
-TABLES = "mapping.csv", "trials.csv", "ego.csv"
+TABLES = "mapping.csv", "mapping_details.csv", "ego.csv"
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
@@ -221,7 +221,7 @@ def test_a_stopped_evaluation_continues(tmp_path: Path, command: Command, undist
     assert not (tmp_path / "results" / FINAL).exists()
     continued(command, tmp_path, done.stderr)
     assert (tmp_path / "results" / FINAL).exists()
-    for name in ("mapping.csv", "trials.csv"):
+    for name in ("mapping.csv", "mapping_details.csv"):
         assert tables(tmp_path / "results")[name] == tables(undisturbed)[name]
     again = command("evaluate", *words)
     assert again.returncode == 2 and "hydra.run.dir: got results" in again.stderr

@@ -271,7 +271,7 @@ def test_the_same_seed_gives_the_same_tables(tmp_path: Path, command: Command) -
         }
         for folder in ("one", "two", "other")
     }
-    assert {"mapping.csv", "paired.csv", "trials.csv", "ego.csv"} <= set(tables["one"])
+    assert {"mapping.csv", "paired.csv", "mapping_details.csv", "ego.csv"} <= set(tables["one"])
     assert tables["one"] == tables["two"] != tables["other"]
     caches = [
         sorted(path.name for path in (tmp_path / folder / "cache").rglob("*.bin"))
@@ -320,7 +320,7 @@ def test_a_killed_run_ends_as_an_uninterrupted_one(
     done = command("train", "resume=latest", f"paths.outputs={broken}", timeout=900)
     assert done.returncode == 0, done.stderr
     assert not list((broken / experiment).rglob(".*.part"))
-    for name in ("mapping.csv", "trials.csv"):
+    for name in ("mapping.csv", "mapping_details.csv"):
         table = Path(experiment) / "latest" / "tables" / name
         assert (whole / table).read_bytes() == (broken / table).read_bytes()
     one, other = (read_state(outputs / last) for outputs in (whole, broken))

@@ -1,8 +1,10 @@
 """Sweeps: independent jobs, no job runs twice, and failures are reported at the end."""
 
+import csv
 import os
 import shlex
 import signal
+import statistics
 import subprocess
 import sys
 import time
@@ -257,7 +259,7 @@ def test_a_killed_sweep_continues_with_the_remaining_jobs(command: Command, tmp_
     assert states(broken) == ["done"] * 3
     assert (broken / "0" / "tables" / "mapping.csv").stat().st_mtime_ns == first
     for number in range(3):
-        for table in ("mapping.csv", "trials.csv", "ego.csv"):
+        for table in ("mapping.csv", "mapping_details.csv", "ego.csv"):
             path = Path(str(number)) / "tables" / table
             assert (whole / path).read_bytes() == (broken / path).read_bytes()
     scores = [[job.score for job in sweep_jobs.read(sweep)] for sweep in (whole, broken)]
@@ -278,10 +280,32 @@ def test_evaluations_are_swept_without_training(command: Command, tmp_path: Path
         saved = yaml.safe_load((tmp_path / name / "0" / "config.yaml").read_text())["ckpt"]
         assert (tmp_path / saved).samefile(checkpoint)
         assert "latest" not in saved  # latest may point to another run later
+        assert f"Report: {name}/report.html" in done.stderr
+        assert ("Best setting" in done.stderr) == (name == "registration")
     assert checkpoint.stat().st_mtime_ns == before and "training epochs" not in done.stderr
     tables = [(tmp_path / "cell_width" / str(n) / "tables" / "mapping.csv").read_text() for n in range(6)]
     widths = [{line.split(",")[2] for line in table.splitlines()[1:]} for table in tables]
     assert [{float(width) for width in some} for some in widths] == [{4.0}, {3.5}, {3.0}, {2.5}, {2.0}, {1.5}]
+
+
+@pytest.mark.slow
+def test_two_settings_with_three_seeds_are_one_table(command: Command, tmp_path: Path) -> None:
+    words = [*JOB, "trainer.max_epochs=2", "kernels.imaginable=0.8,1.4", "seed=0,1,2"]
+    done = command("train", "-m", *words, "hydra.sweep.dir=swept", timeout=1200)
+    assert done.returncode == 0, done.stderr
+    assert states(tmp_path / "swept") == ["done"] * 6
+    rows = list(csv.DictReader((tmp_path / "swept" / "tables" / "mapping.csv").open()))
+    assert [row["kernels.imaginable"] for row in rows][:: len(rows) // 2] == ["0.8", "1.4"]
+    assert all(row["seeds"] == "3" and row["iou_seed_std"] for row in rows)
+    seeds = list(csv.DictReader((tmp_path / "swept" / "tables" / "mapping_seeds.csv").open()))
+    for row in rows:
+        place = ("kernels.imaginable", "approach", "category", "cell_width")
+        values = [float(each["iou_pooled"]) for each in seeds if all(each[key] == row[key] for key in place)]
+        assert len(values) == 3
+        assert float(row["iou_pooled"]) == pytest.approx(statistics.mean(values), abs=1e-4)
+        assert float(row["iou_seed_std"]) == pytest.approx(statistics.stdev(values), abs=1e-4)
+    assert "Best setting on validation scenes" in done.stderr and " over 3 seeds" in done.stderr
+    assert "Report: swept/report.html" in done.stderr and (tmp_path / "swept" / "report.html").is_file()
 
 
 @pytest.mark.slow
@@ -296,7 +320,7 @@ def test_concurrent_jobs_share_the_cache(command: Command, tmp_path: Path) -> No
     assert done.returncode == 0, done.stderr
     assert states(tmp_path / "two") == ["done"] * 2
     for number in "01":
-        tables = [tmp_path / sweep / number / "tables" / "trials.csv" for sweep in ("one", "two")]
+        tables = [tmp_path / sweep / number / "records" / "trials.csv" for sweep in ("one", "two")]
         assert tables[0].read_bytes() == tables[1].read_bytes()
     entries = [{path.name for path in (tmp_path / f"cache_{sweep}").rglob("*.*")} for sweep in ("one", "two")]
     assert entries[0] == entries[1]

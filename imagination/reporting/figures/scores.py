@@ -5,15 +5,17 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 from jaxtyping import Float64
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imagination.evaluation.metrics import iou
-from imagination.evaluation.records import Key
+from imagination.evaluation.record_files import PIXELS
 from imagination.reporting import style
-from imagination.reporting.load_run import ConfusionCounts, TrialCounts
-from imagination.utils.tabular import Row
+from imagination.reporting.load_run import ConfusionCounts
+from imagination.reporting.statistics import Estimate, select
+from imagination.utils.tabular import Row, is_number
 
 
 def draw_iou(rows: Sequence[Row]) -> Figure:
@@ -32,7 +34,7 @@ def draw_iou(rows: Sequence[Row]) -> Figure:
                 if (row["category"], row["approach"]) == (category, name)
             }
             value, low, high = (
-                np.array([float(by_width[width][column]) for width in widths])
+                np.array([float(by_width[width][column] or "nan") for width in widths])
                 for column in ("iou_pooled", "iou_ci_low", "iou_ci_high")
             )
             error = np.maximum(np.stack([value - low, high - value]), 0)
@@ -67,18 +69,18 @@ CELLS = {"all": "all cells", "seen": "cells that depth saw", "unseen": "other ce
 CELL_COLOURS = {"all": "#777777", "seen": "#0072b2", "unseen": "#d55e00"}
 """Colours of subsets of cells."""
 
-Point = tuple[str, float, float, float]
-"""Swept value as text; metric, and lower and upper bound of its interval."""
+Point = tuple[str, Estimate]
+"""Swept value as text, and the metric."""
 
 
-def draw_distribution(counts: Mapping[Key, TrialCounts], category: str, measure: str) -> Figure:
+def draw_distribution(trials: pd.DataFrame, category: str, measure: str) -> Figure:
     """Draw a box for each approach and cell width of the trials' IoU or correct pixels, with every trial as a dot.
 
     Boxes span the quartiles; whiskers extend to the last trial within 1.5 times the interquartile range.
     """
-    keys = [key for key in counts if key.category == category]
-    names = list(dict.fromkeys(key.approach for key in keys))
-    widths = sorted({key.cell_width for key in keys}, reverse=True)
+    trials = trials[trials["category"] == category]
+    names = list(trials["approach"].unique())
+    widths = sorted(trials["cell_width"].unique().tolist(), reverse=True)
     colours = style.colours(names)
     figure = Figure(figsize=(5.0, 3.6), layout="constrained")
     axis = figure.subplots()
@@ -87,10 +89,9 @@ def draw_distribution(counts: Mapping[Key, TrialCounts], category: str, measure:
     handles = {}
     for place, name in enumerate(names):
         for group, width in enumerate(widths):
-            trials = counts.get(Key(name, category, width))
-            if not trials:
+            pixels = select(trials, name, category, width)[list(PIXELS)].to_numpy()
+            if not len(pixels):
                 continue
-            pixels = np.stack(list(trials.values()))
             values = iou(pixels) if measure == "iou" else pixels[:, 0].astype(float)
             centre = group + (place + 0.5) * room - 0.42
             box = axis.boxplot(
@@ -210,7 +211,7 @@ def draw_ablation(panels: Mapping[str, Mapping[str, Sequence[Point]]], xlabel: s
     values = dict.fromkeys(
         point[0] for lines in panels.values() for points in lines.values() for point in points
     )
-    numeric = all(map(_is_number, values))
+    numeric = all(map(is_number, values))
     order = sorted(values, key=float) if numeric else list(values)
     positions = {value: float(value) if numeric else float(index) for index, value in enumerate(order)}
     offset = (max(positions.values()) - min(positions.values()) or 1.0) * 0.012  # separates intervals
@@ -218,7 +219,7 @@ def draw_ablation(panels: Mapping[str, Mapping[str, Sequence[Point]]], xlabel: s
     for axis, (title, lines) in zip(axes, panels.items(), strict=True):
         for index, (name, points) in enumerate(lines.items()):
             ordered = sorted(points, key=lambda point: positions[point[0]])
-            metric, low, high = np.array([point[1:] for point in ordered]).T
+            metric, low, high, _ = np.array([point[1] for point in ordered]).T
             x = [positions[point[0]] + (index - (len(lines) - 1) / 2) * offset for point in ordered]
             error = np.maximum(np.stack([metric - low, high - metric]), 0)
             axis.errorbar(
@@ -233,14 +234,6 @@ def draw_ablation(panels: Mapping[str, Mapping[str, Sequence[Point]]], xlabel: s
     axes[0].set_ylim(bottom=0)
     legend_below(figure, *axes[0].get_legend_handles_labels())
     return figure
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _unit_square(axis: Axes, xlabel: str, ylabel: str, title: str) -> None:

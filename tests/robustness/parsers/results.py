@@ -11,7 +11,7 @@ from imagination.reporting.paper_layout import to_csv, to_latex, to_markdown
 from imagination.reporting.style import THEMES
 from imagination.runs import sweep_jobs
 from imagination.runs.sweep_jobs import FILE
-from tests.helpers.run_folders import APPROACHES, CATEGORIES, WIDTHS, make_folder
+from tests.helpers.run_folders import make_folder
 from tests.reporting.test_load_run import log
 from tests.robustness.parsers.parser import Parser, resealed, temporary_folder, with_file_replaced
 
@@ -22,19 +22,7 @@ EVENTS = "tensorboard/events.out.tfevents.1.host.1.0"
 def write(folder: Path) -> None:
     """Write the folder of an evaluation with all files that a report reads."""
     make_folder(folder)
-    tables = folder / "tables"
-    rows = [f"{a},{c},{w:g},0.5,0.25\n" for a in APPROACHES for c in CATEGORIES for w in WIDTHS]
-    (tables / "mapping.csv").write_text(
-        "".join(["approach,category,cell_width,iou_seen,iou_unseen\n", *rows])
-    )
-    (tables / "ego.csv").write_text("category,score\nchair,0.5\n")
-    provenance = {
-        "command": "python -m imagination.evaluate",
-        "hardware": "2 cores",
-        "seconds": 12.5,
-        "sensor": "ideal",
-    }
-    (tables / "provenance.json").write_text(json.dumps(provenance))
+    (folder / "tables" / "ego.csv").write_text("category,score\nchair,0.5\n")
     log(
         folder / "tensorboard",
         train__loss=[3.0, 2.0],
@@ -67,17 +55,17 @@ def report(*figures: str) -> Callable[[Path], object]:
             to_csv(table), to_markdown(table), to_latex(table)
         draw = (lambda _: "") if content.problems else picture
         template = html.environment().get_template("page.html.j2")
-        return template.render(content=content, picture=draw, colours=THEMES)
+        return template.render(content=content, picture=draw, colours=THEMES, names=html.file_names(content))
 
     return render
 
 
 RESULTS, SWEEP = temporary_folder(write), temporary_folder(write_sweep)
 
-TABLES = {
-    "trials.csv": report("distribution", "maps"),
-    "thresholds.csv": report("precision_recall_views", "reliability_network"),
-    **dict.fromkeys(("mapping.csv", "ego.csv", "provenance.json"), report()),
+RECORDS = {
+    "records/trials.csv": report("distribution", "maps"),
+    "records/thresholds.csv": report("precision_recall_views", "reliability_network"),
+    **dict.fromkeys(("records/evaluation.json", "tables/ego.csv"), report()),
 }
 maps = report("maps", "viewpoints", "precision_recall_maps", "reliability_maps")
 single_views, sweep = report("single"), report("ablation")
@@ -85,8 +73,8 @@ single_views, sweep = report("single"), report("ablation")
 PARSERS = [
     Parser("results-config.yaml", *with_file_replaced(RESULTS, "config.yaml", report())),
     *(
-        Parser(f"results-{name}", *with_file_replaced(RESULTS, f"tables/{name}", read))
-        for name, read in TABLES.items()
+        Parser(f"results-{Path(name).name}", *with_file_replaced(RESULTS, name, read))
+        for name, read in RECORDS.items()
     ),
     Parser("results-maps", *with_file_replaced(RESULTS, MAPS, maps)),
     Parser("results-maps-resealed", *resealed(*with_file_replaced(RESULTS, MAPS, maps))),

@@ -1,10 +1,10 @@
-"""Table of the training of networks."""
+"""Rows on the training of networks."""
 
 from pathlib import Path
 from typing import Any
 
-from imagination.evaluation.records import Report
-from imagination.reporting.training_table import training_rows
+from imagination.evaluation.networks import network_rows
+from imagination.reporting import tables
 from imagination.runs.checkpoint import KEY, CheckpointFiles
 from imagination.runs.checkpoint import Checkpoint as Read
 
@@ -33,14 +33,13 @@ def test_every_network_has_its_training_statistics(tmp_path: Path) -> None:
     )
     unit = checkpoint(tmp_path / "best.ckpt", "chair_unet", "maps", ["chair"], {"TrainingStats": counts(4)})
     old = checkpoint(tmp_path / "old.ckpt", "chair_unet", "maps", ["chair"], {})
-    report = Report({}, {}, {}, {"chair": ["test_0"]}, {"chair": []}, [], [], {}, {"chair": 0.5})
-    rows = training_rows([unit, best, old], report)
+    rows = tables.networks(network_rows([unit, best, old], ["chair"]), {"chair": 0.5})
     assert [(row["network"], row["category"], row["epochs"]) for row in rows] == [
         ("chair_unet", "chair", "4"), ("hrnet", "chair", "9"), ("chair_unet", "chair", ""),
     ]  # fmt: skip
     assert [row["until"] for row in rows] == ["last epoch", "flat", ""]
     assert [row["iou_first_person"] for row in rows] == ["", "0.5000", ""]
-    public = training_rows([unit], report, public=True)[1]
+    public = tables.networks(network_rows([unit], ["chair"], public=True), {"chair": 0.5})[1]
     assert list(public) == list(rows[0])
     assert {name: value for name, value in public.items() if value} == {
         "network": "ade20k", "category": "chair", "iou_first_person": "0.5000",

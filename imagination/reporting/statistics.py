@@ -1,0 +1,144 @@
+"""Estimates from the counts of trials: values with intervals over scenes and deviations over training seeds.
+
+Every table and figure takes its numbers from here. A value of several training seeds is the mean over seeds. The
+interval is a percentile bootstrap over scenes: each resample contains the same scenes for all seeds, approaches and
+jobs, so that differences are paired. The standard deviation over seeds is that of a sample (n - 1).
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float64, Int64
+
+from imagination.evaluation.metrics import interval, iou, resample
+from imagination.evaluation.record_files import PIXELS
+
+MIN_SCENES = 5
+"""Minimum number of scenes for an interval; fewer scenes tell nothing about others."""
+
+KEY = ["approach", "category", "cell_width"]
+"""Columns that identify a row of the results table."""
+
+Counts = Int64[np.ndarray, "seeds scenes 3"]
+"""Correct, false-positive and ground-truth pixels, summed over the viewpoint sets of each scene."""
+
+Measure = Callable[[Int64[np.ndarray, "*n 3"]], Float64[np.ndarray, "*n"]]
+"""Metric of counts."""
+
+MEASURES: Mapping[str, Measure] = {"iou": iou, "correct_pixels": lambda counts: counts[..., 0].astype(float)}
+"""Metrics by name."""
+
+
+class Bootstrap(NamedTuple):
+    """Bootstrap over scenes.
+
+    Attributes:
+        resamples: number of resamples.
+        seed: seed of the resamples.
+    """
+
+    resamples: int
+    seed: int
+
+    def draws(self, scenes: int) -> Int64[np.ndarray, "resamples scenes"] | None:
+        """Return how often each resample contains each scene; None if there are too few scenes."""
+        return resample(scenes, self.resamples, self.seed) if scenes >= MIN_SCENES else None
+
+
+class Estimate(NamedTuple):
+    """Value with its uncertainty.
+
+    Attributes:
+        value: mean over seeds.
+        low, high: interval over scenes; NaN if there are fewer than `MIN_SCENES`.
+        seed_std: standard deviation over seeds; NaN for a single seed.
+    """
+
+    value: float
+    low: float = math.nan
+    high: float = math.nan
+    seed_std: float = math.nan
+
+
+def groups(trials: pd.DataFrame) -> Iterator[tuple[tuple[Any, ...], pd.DataFrame]]:
+    """Yield approach, category and cell width with their trials, in the order of the records."""
+    yield from trials.groupby(KEY, sort=False)
+
+
+def select(trials: pd.DataFrame, approach: str, category: str, cell_width: float) -> pd.DataFrame:
+    """Return the trials of a row of the results table."""
+    columns = zip(KEY, (approach, category, cell_width), strict=True)
+    return trials[np.logical_and.reduce([trials[name] == value for name, value in columns])]
+
+
+def counts_of(trials: pd.DataFrame, suffix: str = "") -> Counts:
+    """Sum the counts of trials over viewpoint sets and cell widths; scenes that a seed lacks are left out.
+
+    Args:
+        trials: trials of one approach and category.
+        suffix: suffix of the columns; see `record_files`.
+    """
+    columns = [f"{name}{suffix}" for name in PIXELS]
+    summed = trials.groupby(["seed", "scene"], sort=False)[columns].sum()
+    seeds, scenes = sorted(trials["seed"].unique()), trials["scene"].unique()
+    common = [scene for scene in scenes if all((seed, scene) in summed.index for seed in seeds)]
+    rows = [(seed, scene) for seed in seeds for scene in common]
+    return summed.loc[rows].to_numpy(np.int64).reshape(len(seeds), len(common), 3)
+
+
+def estimate(counts: Counts, bootstrap: Bootstrap, measure: str = "iou") -> Estimate:
+    """Estimate a metric pooled over scenes."""
+    return _estimate(_values(counts, measure), _samples(counts, bootstrap, measure))
+
+
+def difference(
+    ours: pd.DataFrame, theirs: pd.DataFrame, bootstrap: Bootstrap, measure: str
+) -> Estimate | None:
+    """Estimate the paired difference of a metric over the trials and seeds that both have; None without any.
+
+    If no training has the same seed in both, only the means over seeds are compared.
+    """
+    trial = ["cell_width", "scene", "viewpoint_set"]
+    paired = set(ours["seed"]) & set(theirs["seed"])
+    if paired:
+        ours, theirs = (part[part["seed"].isin(paired)] for part in (ours, theirs))
+    common = ours[trial].drop_duplicates().merge(theirs[trial].drop_duplicates())
+    if common.empty:
+        return None
+    first, second = (counts_of(part.merge(common, on=trial)) for part in (ours, theirs))
+    samples = _samples(first, bootstrap, measure), _samples(second, bootstrap, measure)
+    values = _values(first, measure), _values(second, measure)
+    return _estimate(
+        values[0] - values[1] if paired else np.array([values[0].mean() - values[1].mean()]),
+        None if samples[0] is None or samples[1] is None else samples[0] - samples[1],
+    )
+
+
+def deviation(values: Sequence[float] | Float64[np.ndarray, " n"]) -> float:
+    """Return the standard deviation of a sample; NaN for a single value."""
+    return float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
+
+
+def _values(counts: Counts, measure: str) -> Float64[np.ndarray, " seeds"]:
+    """Return the metric of each seed."""
+    values: Float64[np.ndarray, " seeds"] = MEASURES[measure](counts.sum(axis=1))
+    return values
+
+
+def _samples(counts: Counts, bootstrap: Bootstrap, measure: str) -> Float64[np.ndarray, " resamples"] | None:
+    """Return the mean over seeds of the metric of each resample; None if there are too few scenes."""
+    draws = bootstrap.draws(counts.shape[1])
+    if draws is None:
+        return None
+    samples: Float64[np.ndarray, " resamples"] = MEASURES[measure](draws @ counts).mean(axis=0)
+    return samples
+
+
+def _estimate(
+    values: Float64[np.ndarray, " seeds"], samples: Float64[np.ndarray, " resamples"] | None
+) -> Estimate:
+    low, high = (math.nan, math.nan) if samples is None else interval(samples)
+    return Estimate(float(values.mean()), low, high, deviation(values))
