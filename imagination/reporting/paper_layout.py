@@ -85,18 +85,20 @@ def tables(results: Results) -> list[Layout]:
     if results.trials.empty:
         return []
     columns = [Column(width, category) for width in results.cell_widths for category in results.categories]
-    best = "The best approach that does not see the ground truth is bold in each column of each block."
+    best = ""
+    if any(enough_scenes(results, columns)):
+        best = " The best approach that does not see the ground truth is bold in each column of each block."
     cells = (
         f"A pixel is a cell of {results.resolution:g} m here, of {paper_numbers.RESOLUTION:g} m in the paper."
     )
     spread = described_spread(results)
     return [
         Layout(
-            "iou", "IoU of the global map", f"Pooled over trials, {spread}. {best}", columns,
+            "iou", "IoU of the global map", f"Pooled over trials, {spread}.{best}", columns,
             _with_paper(results, columns, "iou", paper_numbers.IOU), ".3f",
         ),
         Layout(
-            "correct_pixels", "Correctly predicted pixels", f"Summed over trials, {spread}. {best} {cells}", columns,
+            "correct_pixels", "Correctly predicted pixels", f"Summed over trials, {spread}.{best} {cells}", columns,
             _with_paper(results, columns, "correct_pixels", paper_numbers.CORRECT_PIXELS), ".0f",
         ),
         *_by_cells(results, columns, best),
@@ -109,7 +111,7 @@ def described_spread(results: Results) -> str:
     resamples = results.bootstrap.resamples
     interval = f"the {CONFIDENCE:.0%} interval over scenes ({resamples} bootstrap resamples) in brackets"
     if len(results.scenes) < MIN_SCENES:
-        interval = f"without intervals over scenes, since there are fewer than {MIN_SCENES}, and without a best value"
+        interval = f"without intervals and best values, since there are fewer than {MIN_SCENES} scenes"
     seeds = len(results.seeds)
     return (
         f"mean and standard deviation (±) over {seeds} training seeds, {interval}" if seeds > 1 else interval
@@ -129,7 +131,7 @@ def _by_cells(results: Results, columns: list[Column], best: str) -> list[Layout
         (head, mark_best(results.approaches, lines, enough_scenes(results, columns)))
         for head, lines in zip(heads, by_cells, strict=True)
     ]
-    note = f"Pooled over trials. {best}"
+    note = f"Pooled over trials.{best}"
     return [Layout("iou_by_cells", "IoU in seen and in unseen cells", note, columns, blocks, ".3f")]
 
 
@@ -201,7 +203,7 @@ def _paired_differences(results: Results, columns: list[Column]) -> list[Layout]
     compared = pairs(results.approaches)
     if not compared:
         return []
-    note = f"Paired differences, {described_spread(results)}; bold if the interval excludes 0."
+    note = f"Paired differences, {described_spread(results)}; bold if an interval excludes 0."
     return [
         Layout(
             f"paired_{measure}", title, note, columns,
