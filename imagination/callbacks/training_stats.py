@@ -1,13 +1,15 @@
 """Training statistics: epochs, samples, views and duration."""
 
 from time import monotonic, perf_counter
-from typing import Any
+from typing import Any, cast
 
 import torch
 from lightning import Callback, LightningModule, Trainer
 
 from imagination.callbacks.view_images import last_step
 from imagination.data.collate import Batch
+from imagination.data.collection import CollectedViews
+from imagination.data.datamodule import SceneData
 from imagination.utils.process_group import world_size
 
 
@@ -15,8 +17,8 @@ class TrainingStats(Callback):
     """Callback that counts epochs, samples, views and seconds over all resumptions of a run.
 
     The counts are saved in checkpoints and appear in the tables of an evaluation. The callback also logs the training
-    speed, including the drawing of batches; the fraction of an epoch spent waiting for the collection of views or
-    between steps (batches, loggers); and the step at which loggers show a validation.
+    speed, including the drawing of batches but not the collection of views; the fraction of an epoch spent waiting for
+    the collection of views or between steps (batches, loggers); and the step at which loggers show a validation.
     """
 
     def __init__(self) -> None:
@@ -29,7 +31,7 @@ class TrainingStats(Callback):
         self._since = monotonic()
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self._batch_end = perf_counter()  # after the replay-buffer callback has collected
+        self._batch_end = perf_counter()
         self._seconds_between_steps = self._seconds_in_epoch = 0.0
 
     def on_train_batch_start(
@@ -44,7 +46,8 @@ class TrainingStats(Callback):
             torch.cuda.synchronize()
         samples, now = len(batch["rgb"]) * world_size(), perf_counter()
         self._counts["samples"] += samples
-        pl_module.log("train/samples_per_second", samples / (now - self._batch_end))
+        collecting = _collected(trainer).seconds if batch_idx == 0 else 0.0  # before the first batch is drawn
+        pl_module.log("train/samples_per_second", samples / (now - self._batch_end - collecting))
         self._seconds_between_steps += self._batch_begin - self._batch_end
         self._seconds_in_epoch += now - self._batch_end
         self._batch_end = now
@@ -59,10 +62,8 @@ class TrainingStats(Callback):
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._counts["epochs"] = trainer.current_epoch + 1
-        self._counts["views"] = int(trainer.callback_metrics["data/collected_views"])
-        collecting = float(trainer.callback_metrics["data/collecting_seconds"])
-        waiting = collecting + self._seconds_between_steps
-        pl_module.log("train/waiting", waiting / (collecting + self._seconds_in_epoch))
+        self._counts["views"] = _collected(trainer).count
+        pl_module.log("train/waiting", self._seconds_between_steps / self._seconds_in_epoch)
 
     def state_dict(self) -> dict[str, Any]:
         now = monotonic()
@@ -72,3 +73,7 @@ class TrainingStats(Callback):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self._counts = dict(state_dict)
+
+
+def _collected(trainer: Trainer) -> CollectedViews:
+    return cast(SceneData, trainer.datamodule).collected  # type: ignore[attr-defined]

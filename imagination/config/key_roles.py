@@ -98,7 +98,14 @@ KEYS: Mapping[str, Key] = {
     "data.balanced_fraction": _training(
         0.0, 1.0, old=("scale.balanced_fraction", "scale.balanced_share", "data.sampler.share")
     ),
-    "data.hflip_probability": _training(0.0, 1.0, old=("scale.hflip_probability", "scale.mirrored_share")),
+    "data.hflip_probability": _training(
+        0.0,
+        1.0,
+        old=(
+            *("scale.hflip_probability", "scale.mirrored_share"),
+            *("callbacks.replay_buffer.hflip_probability", "callbacks.replay_buffer.mirrored_share"),
+        ),
+    ),
     "data.batch_size": _training(1, 100_000, "views", "B", ("scale.batch_size",)),
     "data.micro_batches": _training(1, 100_000, "micro-batches", old=("scale.accumulate",)),
     "data.workers": Key(Role.EXECUTION, 0, 1024, "processes", old=("scale.workers",), resumable=True),

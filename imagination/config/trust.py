@@ -33,6 +33,7 @@ ROLES: tuple[tuple[str, str], ...] = (
     ("data.observer", "imagination.views.observer.Observer"),
     ("data.module", "imagination.data.datamodule.SceneData"),
     ("data.module.eval_sampler", "imagination.views.collector.PoseSampler"),
+    ("data.module.replay", "imagination.data.replay_buffer.ReplaySettings"),
     # model and its training
     ("model.module", "lightning.LightningModule"),
     ("model.unit", "imagination.models.unit.Unit"),

@@ -38,6 +38,7 @@ def validate(config: DictConfig) -> None:
     if not isinstance(config.model.tta_hflip, bool):
         raise UserError(f"model.tta_hflip: got {config.model.tta_hflip!r}, expected true or false")
     _check_baseline(config.hrnet)
+    _check_replay_buffer(config)
     for extent in (config.ego.extent, config.world.extent):
         cells_of(extent, config.ego.resolution)
     if OmegaConf.select(config, "trainer") is not None:
@@ -93,6 +94,16 @@ def _check_number(key: str, value: Any, low: float, high: float, unit: str) -> N
         kind = "whole number" if whole else "number"
         raise UserError(f"{key}: got {value!r}, expected a {kind} in [{low}, {high}] {unit}".rstrip())
     check_range(key, value, low, high, unit)
+
+
+def _check_replay_buffer(config: DictConfig) -> None:
+    """Check that the settings of the replay buffer exist if the data module refers to them."""
+    refers = OmegaConf.select(config, "data.module.replay") is not None
+    if refers and OmegaConf.select(config, "callbacks.replay_buffer") is None:
+        raise UserError(
+            "callbacks.replay_buffer: got none, expected the settings of the replay buffer, which data.module.replay "
+            "refers to; remove the override that deletes them"
+        )
 
 
 def check_name(name: str) -> str:

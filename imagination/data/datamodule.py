@@ -1,14 +1,17 @@
 """Data of a run: scenes, the views rendered in them, and batches of these views."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
-from typing import Any
+from collections.abc import Mapping, Sequence
+from functools import cached_property, partial
+from typing import Any, ClassVar
 
 import numpy as np
 from lightning import LightningDataModule
 from torch.utils.data import DataLoader
 
+from imagination.data.batches import EpochBatches
 from imagination.data.collate import Batch, Collate, MapCollate
+from imagination.data.collection import CollectedViews, ViewCollector
+from imagination.data.replay_buffer import ReplaySettings
 from imagination.geometry.morphology import kernel_cells
 from imagination.scenes.source import SPLITS, Split
 from imagination.utils.cache import as_plain
@@ -24,8 +27,8 @@ from imagination.views.scene_workers import ScenePool
 class SceneData(LightningDataModule):
     """Batches of views rendered in the scenes of a scene source.
 
-    Training batches come from the replay-buffer callback, which sets `epochs`. Validation and test batches hold fixed
-    views, which are the same in every run, whatever its seed.
+    Training batches are drawn from a replay buffer, into which each epoch collects views. Validation and test batches
+    hold fixed views, which are the same in every run, whatever its seed.
 
     Args:
         observer: renderer of views and their egocentric maps.
@@ -42,10 +45,15 @@ class SceneData(LightningDataModule):
         workers: number of rendering processes; 0 renders in the main process.
         micro_batches: number of parts of a training batch, which are computed one after the other to save memory.
         collate: function that assembles batches, that of the task.
+        hflip_probability: probability that a view in a training batch is flipped horizontally.
+        replay: settings of the replay buffer; None if the module is not used for training.
 
     Raises:
         UserError: if a value is out of range or a category is unknown.
     """
+
+    fit_splits: ClassVar[Sequence[Split]] = ("train", "val")
+    """Splits whose scenes and ground truth are built before a training."""
 
     def __init__(
         self,
@@ -62,6 +70,8 @@ class SceneData(LightningDataModule):
         workers: int,
         micro_batches: int = 1,
         collate: Collate = MapCollate(),  # noqa: B008  (stateless)
+        hflip_probability: float = 0.0,
+        replay: ReplaySettings | None = None,
     ) -> None:
         super().__init__()
         self.observer = observer
@@ -77,7 +87,9 @@ class SceneData(LightningDataModule):
         self.eval_views = dict(eval_views)
         self.workers = workers
         self.micro_batches = micro_batches
-        self.epochs: Iterable[Batch] | None = None
+        self.hflip_probability = check_range("data.hflip_probability", hflip_probability, 0.0, 1.0)
+        self.replay = replay
+        self._collected: CollectedViews | None = None
         self._pool: ScenePool | None = None
         self._surveyed: set[Split] = set()
         self._eval_views: dict[Split, Views] = {}
@@ -89,15 +101,32 @@ class SceneData(LightningDataModule):
             self._pool = ScenePool(self.observer, self.workers)
         return self._pool
 
+    @property
+    def collected(self) -> CollectedViews:
+        """Collected training views of this process, empty at first use and kept until `close`.
+
+        Raises:
+            UserError: if the module has no settings of the replay buffer.
+        """
+        if self._collected is None:
+            settings = self._replay_settings()
+            make_collector = partial(self.collector, settings.update_interval)
+            lookahead = 2 * max(1, self.workers)
+            self._collected = CollectedViews(settings, make_collector, self.fields, lookahead)
+        return self._collected
+
     def close(self) -> None:
-        """Stop the rendering workers."""
+        """Stop the rendering workers and drop the replay buffer."""
+        self._collected = None
         if self._pool is not None:
             self._pool.close()
             self._pool = None
 
     def setup(self, stage: str) -> None:
-        splits: dict[str, list[Split]] = {
-            "fit": ["train", "val"],
+        if stage == "fit":
+            self._replay_settings()  # refused before scenes are built
+        splits: dict[str, Sequence[Split]] = {
+            "fit": self.fit_splits,
             "validate": ["val"],
             "test": ["test"],
             "predict": ["test"],
@@ -130,7 +159,7 @@ class SceneData(LightningDataModule):
                 )
         self._surveyed.add(split)
 
-    def collector(self, steps: int) -> Collector:
+    def collector(self, steps: int) -> ViewCollector:
         """Return the collector of training views, with `steps` steps per collection.
 
         Training processes divide the scenes and the parallel scenes among themselves.
@@ -150,13 +179,32 @@ class SceneData(LightningDataModule):
         """Assemble a batch for the unit's categories."""
         return self.collate(views, self.layers, self.imaginable, self.neighbourhood)
 
-    def train_dataloader(self) -> Iterable[Batch]:
-        if self.epochs is None:
+    def train_dataloader(self) -> EpochBatches:
+        """Return the loader of training batches, which reads the epoch of the trainer."""
+        per_process = self.batch_size // world_size()
+        check_range("data.micro_batches", self.micro_batches, 1, per_process, "micro-batches")
+        return EpochBatches(
+            self.collected,
+            self.assemble,
+            per_process,
+            self.micro_batches,
+            self.hflip_probability,
+            self.seed,
+            self.trainer,
+        )
+
+    def _replay_settings(self) -> ReplaySettings:
+        """Return the settings of the replay buffer.
+
+        Raises:
+            UserError: if there are none.
+        """
+        if self.replay is None:
             raise UserError(
-                "callbacks.replay_buffer: got none, expected the callback that collects training views; "
+                "callbacks.replay_buffer: got none, expected the settings of the replay buffer for training; "
                 "add replay_buffer to callbacks"
             )
-        return self.epochs
+        return self.replay
 
     @cached_property
     def training_scenes(self) -> dict[str, str]:

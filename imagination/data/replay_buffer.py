@@ -1,9 +1,56 @@
 """Replay buffer: compact storage of the most recent views, from which batches are drawn."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imagination.utils.errors import UserError, check_range
 from imagination.views.collector import Views
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """Settings of the replay buffer and of the collections that fill it: the keys `callbacks.replay_buffer.*`.
+
+    An epoch collects `update_interval` steps and trains on `update_batches` batches.
+
+    Attributes:
+        size: capacity of the buffer, views, summed over all training processes.
+        update_interval: number of collection steps per epoch; a step is one view in each parallel scene.
+        update_batches: number of batches per epoch.
+        aggregation_factor: fraction of older views in a batch; the rest comes from the newest collection.
+        prefill_steps: number of collection steps before the first epoch, a multiple of `update_interval`.
+        collection_epochs: number of epochs that collect views. Later epochs reuse the views in the buffer or, if the
+            buffer does not hold all collections, repeat the collections in their order.
+
+    Raises:
+        UserError: if a value is out of range.
+    """
+
+    size: int
+    update_interval: int
+    update_batches: int
+    aggregation_factor: float
+    prefill_steps: int
+    collection_epochs: int
+
+    def __post_init__(self) -> None:
+        node = "callbacks.replay_buffer"
+        check_range(f"{node}.size", self.size, 1, 10_000_000, "views")
+        check_range(f"{node}.update_interval", self.update_interval, 1, 10_000, "collection steps")
+        check_range(f"{node}.update_batches", self.update_batches, 1, 100_000, "batches")
+        check_range(f"{node}.aggregation_factor", self.aggregation_factor, 0.0, 1.0)
+        check_range(f"{node}.collection_epochs", self.collection_epochs, 1, 10**9, "epochs")
+        if self.prefill_steps < 0 or self.prefill_steps % self.update_interval:
+            raise UserError(
+                f"{node}.prefill_steps: got {self.prefill_steps}, expected a multiple of {node}.update_interval = "
+                f"{self.update_interval}; change one of them"
+            )
+
+    @property
+    def prefill_collections(self) -> int:
+        """Number of collections before the first epoch."""
+        return self.prefill_steps // self.update_interval
 
 
 class ReplayBuffer:

@@ -1,95 +1,85 @@
-"""Batches of an epoch: the same with and without prefetching."""
+"""Replay-buffer callback: its settings are those of the data module, and it logs the state of the buffer."""
 
-from collections.abc import Callable
-from unittest.mock import Mock
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pytest
-import torch
-from lightning import LightningModule, Trainer
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
 
-from imagination.callbacks import replay_buffer
 from imagination.callbacks.replay_buffer import ReplayBufferCallback
-from imagination.data.collate import Batch
-from imagination.data.datamodule import SceneData
-from imagination.models.lit_task import LitTask
-from imagination.views.collector import Collector
+from imagination.config.compose import compose
+from imagination.config.validation import validate
+from imagination.data.replay_buffer import ReplaySettings
+from imagination.runs.composed_config import keep_references
+from imagination.utils.errors import UserError
+from tests.data.test_batches import fit
+from tests.data.test_datamodule import REPLAY, data
 
 
-def batches(device: str, accumulate: int, epoch: int = 2, overfit: int = 0) -> list[Batch]:
-    """Return the batches of an epoch, drawn from a hundred views."""
-    callback = ReplayBufferCallback(200, 5, 7, 0.9, 0, 0.5, 10)
-    callback.buffer.insert(
-        {"pose": np.zeros((100, 3)), "rgb": np.arange(4800, dtype=np.uint8).reshape(100, 4, 4, 3)}
-    )
-    data = Mock(spec=SceneData, seed=1, batch_size=12, micro_batches=accumulate)
-    data.assemble = lambda views: {"rgb": torch.from_numpy(views["rgb"]).permute(0, 3, 1, 2)}
-    trainer = Mock(spec=Trainer, current_epoch=epoch, max_epochs=5, datamodule=data, overfit_batches=overfit)
-    trainer.strategy.root_device = torch.device(device)
-    callback.on_fit_start(trainer, Mock(spec=LitTask, batch_totals=lambda batch: {}))
-    assert len(data.epochs) == 7 * accumulate
-    return list(data.epochs)
-
-
-@pytest.mark.parametrize("accumulate", [1, 3])
-def test_prefetching_does_not_change_the_batches(monkeypatch: pytest.MonkeyPatch, accumulate: int) -> None:
-    monkeypatch.setattr(replay_buffer, "pinned", lambda batch: batch)  # pinning needs a GPU
-    on_demand, prefetched = batches("cpu", accumulate), batches("cuda", accumulate)
-    assert len(on_demand) == len(prefetched) == 7 * accumulate
-    for one, other in zip(on_demand, prefetched, strict=True):
-        assert one.keys() == other.keys() and len(one["rgb"]) == 12 // accumulate
-        assert all(torch.equal(one[name], other[name]) for name in one)
-    assert not torch.equal(on_demand[0]["rgb"], on_demand[accumulate]["rgb"])
+def callback(settings: ReplaySettings = REPLAY) -> ReplayBufferCallback:
+    return ReplayBufferCallback(**asdict(settings))
 
 
 @pytest.mark.parametrize(
-    ("size", "expected"),
-    [
-        # the buffer holds all 5 collections of 10 views: nothing is collected after them
-        (100, [[0, 1, 2], [3], [4], [], []]),
-        # the buffer holds two collections: the collections are repeated in their order
-        (20, [[1, 2], [3], [4], [0], [1]]),
-    ],
+    ("micro_batches", "arguments", "draws"),
+    [(1, {}, 0.75), (3, {}, 0.75), (1, {"limit_train_batches": 2}, 0.5)],
 )
-def test_epochs_after_the_last_collection_reuse_the_views(size: int, expected: list[list[int]]) -> None:
-    requested: list[int] = []
-
-    def start(index: int) -> Callable[[], dict[str, np.ndarray]]:
-        def wait() -> dict[str, np.ndarray]:
-            requested.append(index)
-            return {"pose": np.full((10, 3), float(index))}
-
-        return wait
-
-    collector = Mock(spec=Collector, views_per_collection=10, start=start)
-    data = Mock(spec=SceneData, seed=1, batch_size=4, workers=1, fields=("pose",), epochs=range(7))
-    data.collector.return_value = collector
-    # two collections before the first epoch, then three
-    callback = ReplayBufferCallback(size, 5, 7, 0.5, 10, 0.0, 3)
-    collected = []
-    for epoch, indices in enumerate(expected):
-        trainer = Mock(
-            spec=Trainer, current_epoch=epoch, max_epochs=5, datamodule=data, overfit_batches=0,
-            num_training_batches=7,
-        )  # fmt: skip
-        module = Mock(spec=LightningModule)
-        requested.clear()
-        callback.on_train_epoch_start(trainer, module)
-        assert requested == indices
-        logged = {call.args[0]: call.args[1] for call in module.log.call_args_list}
-        collected.append(logged["data/collected_views"])
-    assert collected == [30, 40, 50, 50, 50]
-    resumed = ReplayBufferCallback(
-        size, 5, 7, 0.5, 10, 0.0, 3
-    )  # has the same views as the uninterrupted callback
-    resumed.on_train_epoch_start(trainer, module)
-    rng = np.random.default_rng(0), np.random.default_rng(0)
-    draws = [each.buffer.draw(4, own)["pose"] for each, own in zip((callback, resumed), rng, strict=True)]
-    np.testing.assert_array_equal(*draws)
+def test_the_state_of_the_buffer_is_logged(
+    tmp_path: Path, micro_batches: int, arguments: dict[str, Any], draws: float
+) -> None:
+    views = data(tmp_path, replay=REPLAY, micro_batches=micro_batches)
+    trained = fit(views, 2, enable_checkpointing=False, callbacks=[callback()], **arguments)
+    logged = {name: float(value) for name, value in trained.trainer.callback_metrics.items()}
+    assert logged.pop("data/collecting_seconds") > 0
+    # three collections of eight views, in a buffer of 40
+    assert logged == pytest.approx(
+        {
+            "data/collected_views": 24,
+            "data/draws_per_view": draws,
+            "data/buffer_fill": 0.6,
+            "data/view_age": 1.0,
+        }
+    )
 
 
-def test_overfitting_draws_the_same_batches_in_every_epoch() -> None:
-    """With `trainer.overfit_batches`; in an ordinary training every epoch has its own batches."""
-    for overfit, equal in ((3, True), (0, False)):
-        first, other = (batches("cpu", 1, epoch, overfit) for epoch in (0, 2))
-        assert all(torch.equal(a["rgb"], b["rgb"]) for a, b in zip(first, other, strict=True)) == equal
+def test_other_settings_than_those_of_the_data_module_are_refused(tmp_path: Path) -> None:
+    views = data(tmp_path, replay=REPLAY)
+    with pytest.raises(UserError, match="data.module.replay.size: got 40, expected 48"):
+        fit(views, 1, enable_checkpointing=False, callbacks=[callback(replace(REPLAY, size=48))])
+
+
+def config(*overrides: str, command: str = "train") -> DictConfig:
+    return compose(command, ["experiment=chair_unet", "scale=test", "paths.run=.", *overrides])
+
+
+@pytest.mark.parametrize("experiment", ["chair_unet", "segmentation_hrnet"])
+def test_the_config_gives_both_the_same_settings(experiment: str) -> None:
+    composed = config(f"experiment={experiment}", "callbacks.replay_buffer.size=72")
+    settings = instantiate(composed.callbacks.replay_buffer).settings
+    assert instantiate(composed.data.module.replay) == settings and settings.size == 72
+    keep_references(composed, "trainer.max_epochs")  # as in a resumed run that trains for longer
+    OmegaConf.update(composed, "trainer.max_epochs", 99)
+    assert instantiate(composed.data.module.replay) == settings
+
+
+def test_training_without_the_callback_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    composed = config("callbacks=[training_stats]")
+    validate(composed)
+    with pytest.raises(UserError, match="callbacks.replay_buffer: got none.*add replay_buffer to callbacks"):
+        instantiate(composed.data.module).setup("fit")
+
+
+@pytest.mark.parametrize("override", ["~callbacks.replay_buffer", "callbacks.replay_buffer=null"])
+def test_deleted_settings_are_refused(override: str) -> None:
+    with pytest.raises(UserError, match="callbacks.replay_buffer: got none"):
+        validate(config(override))
+
+
+def test_an_evaluation_needs_no_callbacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    composed = config("callbacks=[]", command="evaluate")
+    validate(composed)
+    assert instantiate(composed.data.module).replay is None

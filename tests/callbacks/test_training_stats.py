@@ -1,15 +1,20 @@
 """Training statistics: counts and speed."""
 
 import time
+from collections.abc import Iterator
+from unittest.mock import Mock
 
 import lightning
 import pytest
 import torch
-from lightning import LightningModule
+from lightning import LightningDataModule, LightningModule, Trainer
 from torch import Tensor
 from torch.utils.data import DataLoader
 
+from imagination.callbacks import training_stats
 from imagination.callbacks.training_stats import TrainingStats
+from imagination.data.collection import CollectedViews
+from imagination.data.datamodule import SceneData
 
 VIEWS, BATCHES = 4, 3
 DRAWING, STEP, COLLECTING = 0.05, 0.02, 0.1  # seconds
@@ -27,8 +32,6 @@ class Slow(LightningModule):
     def training_step(self, batch: dict[str, Tensor], index: int) -> Tensor:
         if "train/samples_per_second" in self.trainer.callback_metrics:
             self.speeds.append(float(self.trainer.callback_metrics["train/samples_per_second"]))
-        self.log("data/collected_views", 7.0)
-        self.log("data/collecting_seconds", COLLECTING)
         time.sleep(STEP)
         return self.layer(batch["rgb"]).sum()
 
@@ -42,13 +45,22 @@ class Slow(LightningModule):
         return torch.optim.SGD(self.parameters(), lr=0.1)
 
 
-class Drawn:
-    """Batches that take a known time to draw."""
+class Drawn(LightningDataModule):
+    """Data module whose views and batches take a known time to collect and draw."""
+
+    collected = Mock(spec=CollectedViews, seconds=COLLECTING, count=7)
 
     def __len__(self) -> int:
         return BATCHES
 
-    def __iter__(self):
+    def train_dataloader(self) -> "Drawn":
+        return self
+
+    def val_dataloader(self) -> DataLoader:
+        return DataLoader([{"rgb": torch.ones(VIEWS, 1)}], batch_size=None)
+
+    def __iter__(self) -> Iterator[dict[str, Tensor]]:
+        time.sleep(COLLECTING)
         for _ in range(BATCHES):
             time.sleep(DRAWING)
             yield {"rgb": torch.ones(VIEWS, 1)}
@@ -61,8 +73,7 @@ def test_a_training_is_counted_and_timed_with_its_drawing() -> None:
         enable_model_summary=False, num_sanity_val_steps=0, callbacks=[stats],
     )  # fmt: skip
     began = time.monotonic()
-    validation = DataLoader([{"rgb": torch.ones(VIEWS, 1)}], batch_size=None)
-    trainer.fit(module, Drawn(), validation)
+    trainer.fit(module, datamodule=Drawn())
     took = time.monotonic() - began
     state = stats.state_dict()
     assert (state["epochs"], state["samples"], state["views"]) == (2, 2 * BATCHES * VIEWS, 7)
@@ -78,3 +89,21 @@ def test_a_training_is_counted_and_timed_with_its_drawing() -> None:
     resumed = TrainingStats()
     resumed.load_state_dict(state)
     assert resumed.state_dict()["samples"] == state["samples"]
+
+
+def test_collecting_counts_as_waiting_but_not_in_the_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 10.0, 12.0, 13.0, 15.0])  # start of the epoch, then begin and end of two steps
+    monkeypatch.setattr(training_stats, "perf_counter", lambda: next(clock))
+    stats, module = TrainingStats(), Mock(spec=LightningModule, device=torch.device("cpu"))
+    collected = Mock(spec=CollectedViews, seconds=9.0, count=7)
+    trainer = Mock(spec=Trainer, current_epoch=0, datamodule=Mock(spec=SceneData, collected=collected))
+    batch = {"rgb": torch.ones(12, 1)}
+    stats.on_train_epoch_start(trainer, module)
+    for index in (0, 1):
+        stats.on_train_batch_start(trainer, module, batch, index)
+        stats.on_train_batch_end(trainer, module, None, batch, index)
+    stats.on_train_epoch_end(trainer, module)
+    speed = "train/samples_per_second"
+    assert [call.args for call in module.log.call_args_list] == [
+        (speed, 12 / 3), (speed, 12 / 3), ("train/waiting", 11 / 15),
+    ]  # fmt: skip

@@ -146,7 +146,8 @@ def test_paths_of_a_plugin_are_known_by_their_annotation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = config()
-    changed.callbacks = {"spikes": {"_target_": "tests.config.test_trust.Writer", "output": "elsewhere"}}
+    spikes = {"_target_": "tests.config.test_trust.Writer", "output": "elsewhere"}
+    OmegaConf.update(changed, "callbacks.spikes", spikes, force_add=True)
     with pytest.raises(UserError, match="callbacks.spikes.output: got 'elsewhere'"):
         check_paths(changed, config())
     changed.callbacks.spikes.output = "run/inside"

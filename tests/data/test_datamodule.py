@@ -1,11 +1,14 @@
 """Collecting views: the result depends neither on the workers nor on the cache."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from imagination.data.datamodule import SceneData
+from imagination.data.replay_buffer import ReplaySettings
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.geometry.projection import Band
@@ -21,6 +24,14 @@ from tests.helpers.room_source import Rooms
 from tests.helpers.rooms import tiny_room
 
 OBSTACLES = Band(0.2, 1.5)
+REPLAY = ReplaySettings(
+    size=40,
+    update_interval=2,
+    update_batches=3,
+    aggregation_factor=0.5,
+    prefill_steps=2,
+    collection_epochs=9,
+)
 TABLE = CategoryTable([Category(name, (255, 0, 0), {"rooms": [name]}) for name in ("chair", "bed", "table")])
 
 
@@ -31,10 +42,10 @@ def observer(folder: Path, source: Rooms = Rooms()) -> Observer:  # noqa: B008  
     return Observer(source, camera, IdealSensor(), ego, OBSTACLES, spec, TABLE, Cache(folder))
 
 
-def data(folder: Path, workers: int = 0, seed: int = 1, source: Rooms = Rooms()) -> SceneData:  # noqa: B008
+def data(folder: Path, workers: int = 0, seed: int = 1, source: Rooms = Rooms(), **others: Any) -> SceneData:  # noqa: B008
     eval_views = {"val": 7, "test": 4}
-    samplers = UniformPoses(), UniformPoses()
-    return SceneData(observer(folder, source), ["bed"], *samplers, 1.0, 0.62, seed, 4, 3, eval_views, workers)  # type: ignore[arg-type]
+    settings = 1.0, 0.62, seed, 4, 3, eval_views, workers
+    return SceneData(observer(folder, source), ["bed"], UniformPoses(), UniformPoses(), *settings, **others)  # type: ignore[arg-type]
 
 
 def same(one: Views, other: Views) -> bool:
@@ -104,14 +115,18 @@ def test_a_category_without_objects_in_a_split_is_refused(tmp_path: Path) -> Non
             "categories": lamps,
         }
     )
-    module = SceneData(asks, ["piano"], UniformPoses(), UniformPoses(), 1.0, 0.62, 1, 4, 5, {}, 0)
+    settings = 1.0, 0.62, 1, 4, 5, {}, 0
+    module = SceneData(asks, ["piano"], UniformPoses(), UniformPoses(), *settings, replay=REPLAY)
     with pytest.raises(UserError, match="category 'piano'.*3 scenes.*'train'"):
         module.setup("fit")
 
 
-def test_training_without_a_replay_buffer_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="callbacks.replay_buffer"):
-        data(tmp_path).train_dataloader()
+@pytest.mark.parametrize("begin", [lambda module: module.setup("fit"), SceneData.train_dataloader])
+def test_training_without_a_replay_buffer_is_refused(
+    tmp_path: Path, begin: Callable[[SceneData], object]
+) -> None:
+    with pytest.raises(UserError, match="callbacks.replay_buffer: got none"):
+        begin(data(tmp_path))
 
 
 def test_balanced_poses_look_at_the_object() -> None:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from imagination.callbacks.replay_buffer import parts
+from imagination.data.batches import parts
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.models.backbones import UNet

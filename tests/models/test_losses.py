@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from imagination.callbacks.replay_buffer import parts
+from imagination.data.batches import parts
 from imagination.models.losses import BCEDice, WeightedBCE, batch_counts, imagination_loss
 from tests.helpers.batches import random_batch
 

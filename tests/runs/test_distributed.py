@@ -32,7 +32,7 @@ TWO = [*JOB, "trainer.devices=2"]
 def as_rank(number: int, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LOCAL_RANK", str(number))
     monkeypatch.setenv("WORLD_SIZE", str(count))
-    for module in ("data.datamodule", "callbacks.replay_buffer"):
+    for module in ("data.datamodule", "data.collection", "data.batches"):
         monkeypatch.setattr(f"imagination.{module}.world_size", lambda: count)
 
 

@@ -268,6 +268,8 @@ class ShardData(SceneData):
         others: further arguments of `SceneData`.
     """
 
+    fit_splits = ("val",)  # the shards hold the ground truth of training views
+
     def __init__(self, shards: str, shard_cache: str, shard_gigabytes: float, **others: Any) -> None:
         super().__init__(**others)
         self._dataset = shards, shard_cache, shard_gigabytes
@@ -275,13 +277,7 @@ class ShardData(SceneData):
         self._scenes: list[str] = []
         self._spec: dict[str, Any] = {}
 
-    def setup(self, stage: str) -> None:
-        if stage == "fit":
-            self.survey("val")  # the shards hold the ground truth of training views
-        else:
-            super().setup(stage)
-
-    def collector(self, steps: int) -> ShardCollector:  # type: ignore[override]  # a class with the same interface
+    def collector(self, steps: int) -> ShardCollector:
         if self._collector is None:
             shards = Shards(*self._dataset)
             shards.check(self.observer)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from imagination.callbacks.replay_buffer import parts
+from imagination.data.batches import parts
 from imagination.models.segmentation.hrnet import HRNetV2
 from imagination.models.segmentation.lit_segmentation import LitSegmentation
 from imagination.utils.errors import UserError
