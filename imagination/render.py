@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -17,6 +16,7 @@ from imagination.scenes.source import SPLITS, Split
 from imagination.utils import interrupts
 from imagination.utils.atomic_io import replacing, write_npz
 from imagination.utils.errors import check_choice, check_range
+from imagination.utils.file_names import file_name
 
 if TYPE_CHECKING:  # imports matplotlib and numba, which --help does not need
     from matplotlib.figure import Figure
@@ -33,17 +33,12 @@ def main(config: DictConfig) -> None:
     observer: Observer = instantiate(config.data.observer)
     split = cast(Split, check_choice("split", config.split, SPLITS))
     name = config.scene or observer.source.scenes(split)[0]
-    folder = Path(config.folder) / folder_name(name)
+    folder = Path(config.folder) / file_name(name)
     try:
         write_scene(config, observer, name, folder)
     except KeyboardInterrupt:
         print(f"Interrupted; {folder}/ is incomplete. Run the same command again.", file=sys.stderr)
         sys.exit(interrupts.exit_code())
-
-
-def folder_name(scene: str) -> str:
-    """Return a folder name for a scene, whose name may be a path (Habitat)."""
-    return re.sub(r"[^\w.-]+", "_", scene).strip("._")
 
 
 def write_scene(config: DictConfig, observer: Observer, name: str, folder: Path) -> None:

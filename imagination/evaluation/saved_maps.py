@@ -1,7 +1,8 @@
 """Files of global maps: an evaluation saves one per trial; figures and recounts read them.
 
 A full evaluation writes maps/<scene>_<cell width>m_<viewpoint set>.npz, e.g. maps/test_0003_2.5m_0.npz: one file for
-each trial of the test scenes, cropped to the cells that are not empty, with
+each trial of the test scenes, cropped to the cells that are not empty. Characters of a scene's name that cannot
+be in a file name are replaced (see `file_name`). A file holds
 
     name        type and shape      content
     scene       str                 name of the scene
@@ -36,6 +37,7 @@ from imagination.evaluation.trials import Trial
 from imagination.geometry.grid import Grid
 from imagination.utils.atomic_io import write_npz
 from imagination.utils.errors import UserError, check_range
+from imagination.utils.file_names import file_name
 
 FOLDER = "maps"
 """Folder of the maps in the folder of the results."""
@@ -92,7 +94,7 @@ class SavedMaps(NamedTuple):
 
 def path_of(folder: Path, trial: Trial) -> Path:
     """Return the path of a trial's maps in the folder of the results."""
-    return folder / FOLDER / f"{trial.scene}_{trial.cell_width:g}m_{trial.number}.npz"
+    return folder / FOLDER / f"{file_name(trial.scene)}_{trial.cell_width:g}m_{trial.number}.npz"
 
 
 def save(folder: Path, maps: SavedMaps) -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from imagination.ground_truth.scene_maps import GroundTruth
-from imagination.render import folder_name
 from tests.conftest import Command
 from tests.helpers.scanned_buildings import write_matterport
 
@@ -64,9 +63,3 @@ def test_another_scene_source_is_drawn(command: Command, tmp_path: Path) -> None
     result = command("render", *scans)
     assert result.returncode == 2 and "Traceback" not in result.stderr
     assert "data.scenes.folder: got " in result.stderr
-
-
-def test_a_scene_name_with_slashes_gives_a_folder_name() -> None:
-    assert folder_name("test_0000") == "test_0000"
-    assert folder_name("/data/scenes/a.glb") == "data_scenes_a.glb"
-    assert folder_name("../b c") == "b_c"
