@@ -8,6 +8,7 @@ from omegaconf import DictConfig
 from imagination.config import plugin_registry
 from imagination.config.contracts import check_plugin
 from imagination.runs.command import command
+from imagination.utils.code_hash import GROUP
 from imagination.utils.errors import UserError
 
 
@@ -34,7 +35,7 @@ def main(config: DictConfig) -> None:
     if not plugins:
         print(
             f"No plugins: found no folder {Path.cwd() / 'plugins'}/NAME and no distribution with the entry point "
-            f"{plugin_registry.GROUP}."
+            f"{GROUP}."
         )
     sys.exit(config.check and any(plugin.problem for plugin in plugins))
 

@@ -38,6 +38,9 @@ CONTRACTS = {
     "model.unit": Contract("imagination.models.unit.Unit", ("forward",), ("categories",)),
     "model.encoder": Contract("imagination.models.encoders.TimmEncoder", ("forward",), ("channels",)),
     "model.loss": Contract("imagination.models.losses.Loss", ("__call__",), ("in_parts",)),
+    "data.scenes": Contract(
+        "imagination.scenes.source.SceneSource", ("scenes", "load", "identity", "fingerprint")
+    ),
 }
 """Contracts by place in the config (* is any key)."""
 
@@ -55,7 +58,8 @@ def check_contracts(config: DictConfig) -> None:
         if contract is None or not target or target.startswith("imagination."):
             continue
         missing = list(_missing_methods(hydra.utils.get_object(target), contract))
-        missing += _missing_attributes(hydra.utils.instantiate(node), contract) if not missing else []
+        if contract.attributes and not missing:
+            missing += _missing_attributes(hydra.utils.instantiate(node), contract)
         if missing:
             raise UserError(f"{place}: got {target}, {_problem(missing, contract)}")
 

@@ -14,10 +14,9 @@ from typing import Any
 
 import yaml
 
-log = logging.getLogger(__name__)
+from imagination.utils.code_hash import GROUP
 
-GROUP = "imagination.plugins"
-"""Entry-point group of plugins: name of the plugin, and its conf package, e.g. "imagination_rooms.conf"."""
+log = logging.getLogger(__name__)
 
 
 @dataclass

@@ -14,7 +14,7 @@ from imagination.data.collection import CollectedViews, ViewCollector
 from imagination.data.replay_buffer import ReplaySettings
 from imagination.geometry.morphology import kernel_cells
 from imagination.scenes.source import SPLITS, Split
-from imagination.utils.cache import as_plain
+from imagination.utils.cache_key import as_plain
 from imagination.utils.errors import UserError, check_choice, check_range
 from imagination.utils.process_group import global_rank, rotated_by_rank, world_size
 from imagination.utils.progress import progress
@@ -22,6 +22,9 @@ from imagination.views.collector import Collector, PoseSampler, Views, concatena
 from imagination.views.observer import Observer
 from imagination.views.random_streams import Stream
 from imagination.views.scene_workers import ScenePool
+
+TRAINING_SCENES = "training_scenes"
+"""Key, in the state of the data module in a checkpoint, of the fingerprints of the training scenes by identity."""
 
 
 class SceneData(LightningDataModule):
@@ -206,15 +209,18 @@ class SceneData(LightningDataModule):
             )
         return self.replay
 
-    @cached_property
-    def training_scenes(self) -> dict[str, str]:
-        """Fingerprints of the training scenes by name."""
-        source = self.observer.source
-        return {scene: source.fingerprint(scene) for scene in source.scenes("train")}
-
     def state_dict(self) -> dict[str, Any]:
         """Return the training scenes for checkpoints, so that an evaluation can refuse to use them."""
-        return {"scenes": self.training_scenes}
+        return {TRAINING_SCENES: self.training_scenes}
+
+    @cached_property
+    def training_scenes(self) -> dict[str, str]:
+        """Fingerprints of the training scenes by identity."""
+        return self._fingerprints(self.observer.source.scenes("train"))
+
+    def _fingerprints(self, scenes: Sequence[str]) -> dict[str, str]:
+        source = self.observer.source
+        return {source.identity(scene): self.observer.fingerprint(scene) for scene in scenes}
 
     def val_dataloader(self) -> DataLoader[Batch]:
         return self._eval_dataloader("val")

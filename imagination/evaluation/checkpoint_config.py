@@ -17,7 +17,7 @@ from imagination.config.compose import compose
 from imagination.config.overrides import override_group, override_key
 from imagination.config.validation import validate
 from imagination.models.task_kind import TaskKind
-from imagination.utils.errors import UserError
+from imagination.utils.errors import UserError, first_of
 
 if TYPE_CHECKING:
     from imagination.runs.checkpoint import Checkpoint
@@ -32,18 +32,20 @@ def check_scenes(checkpoints: Sequence[Checkpoint], source: SceneSource) -> None
     Raises:
         UserError: if a validation or test scene is a training scene of a checkpoint.
     """
+    for checkpoint in checkpoints:
+        if not checkpoint.scenes:
+            log.warning("ckpt: %s holds no training scenes, so the evaluation may use them", checkpoint.path)
     for split in ("val", "test"):
-        evaluated = {source.fingerprint(scene): scene for scene in source.scenes(split)}
+        evaluated = {source.identity(scene): scene for scene in source.scenes(split)}
         for checkpoint in checkpoints:
-            for trained, fingerprint in checkpoint.scenes.items():
-                if fingerprint in evaluated:
-                    raise UserError(
-                        f"ckpt: {checkpoint.path} was trained in {trained}, which is {evaluated[fingerprint]} of the "
-                        f"split {split!r}; train again with these scenes, or evaluate with the scenes of the training"
-                    )
+            if common := [identity for identity in checkpoint.scenes if identity in evaluated]:
+                raise UserError(
+                    f"ckpt: {checkpoint.path} was trained in {first_of(common)}, expected no scene of the split "
+                    f"{split!r} (here {evaluated[common[0]]}); train again without them, or evaluate in other scenes"
+                )
     recorded = [checkpoint for checkpoint in checkpoints if checkpoint.scenes]
     for other in recorded[1:]:
-        if set(other.scenes.values()) != set(recorded[0].scenes.values()):
+        if other.scenes != recorded[0].scenes:
             log.warning(
                 "ckpt: %s and %s were trained in different scenes, or with different versions of the scene source",
                 recorded[0].path,

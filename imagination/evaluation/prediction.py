@@ -1,30 +1,38 @@
 """Predictions of trained PyTorch networks for views given as NumPy arrays."""
 
 import hashlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import is_dataclass
 from functools import cached_property
-from typing import Protocol, cast, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
+from lightning import LightningModule
 from torch import Tensor, nn
+from torchmetrics import Metric
 
 from imagination.data.collate import Batch, observations
 from imagination.evaluation.approaches import Predictions
 from imagination.models.task_kind import TaskKind
 from imagination.models.unit import Prediction
 from imagination.utils.cache import code_version
+from imagination.utils.cache_key import as_plain
+from imagination.utils.code_hash import code_of, is_core, is_plugin
 from imagination.utils.errors import UserError
 from imagination.utils.precision import autocast, resolved
 from imagination.views.collector import Views
 
-PACKAGES = ("models", "mapping")
-"""Packages whose code is hashed into the keys of cached evaluation results."""
+PACKAGES = ("models", "utils/precision.py")
+"""Packages and modules whose code determines predictions, besides those in every key of the cache."""
 
+HPARAMS = ("_hparams", "_hparams_initial", "_hparams_name")
+"""Attributes with the hyperparameters of a run, which only a network in training has."""
 
-PREDICTION_SETTINGS = ("tta_hflip", "postprocess_dilation")
-"""Attributes of networks that change their predictions but are no weights."""
+INTERNAL = frozenset([*vars(nn.Module()), *vars(LightningModule()), *HPARAMS])
+"""Attributes that torch and Lightning set on networks."""
 
 
 @runtime_checkable
@@ -115,17 +123,17 @@ class Predictor:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hash of the weights, categories, prediction settings, precision and code."""
-        digest = hashlib.sha256((code_version(PACKAGES) + self.precision).encode())
+        """Hash of the code, settings and weights of the networks, the precision and the type of the device."""
+        digest = hashlib.sha256(repr((code_version(PACKAGES), self.precision, self._device)).encode())
         for model in self.models:
             assert isinstance(model, nn.Module)
-            settings = [vars(part).get(name) for part in model.modules() for name in PREDICTION_SETTINGS]
-            digest.update(repr((type(model).__qualname__, model.categories, settings)).encode())
-            for name, tensor in model.state_dict().items():
-                digest.update(name.encode())
-                digest.update(
-                    tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes()
-                )
+            digest.update(repr(model.categories).encode())
+            for name, part in model.named_modules():
+                digest.update(repr((name, _class_of(part), _settings(part))).encode())
+                for key, tensor in _tensors(part):
+                    digest.update(key.encode())
+                    values = tensor.detach().cpu().contiguous().flatten().view(torch.uint8)
+                    digest.update(values.numpy().tobytes())
         return digest.hexdigest()
 
     @torch.inference_mode()
@@ -178,3 +186,36 @@ class Predictor:
             rgb = torch.from_numpy(views["rgb"][start : start + self.batch_size]).permute(0, 3, 1, 2)
             chunks.append(rows[segmenter.segment(rgb, *views["depth"].shape[1:]).cpu().numpy()])
         return np.concatenate(chunks)
+
+
+def _class_of(part: nn.Module) -> tuple[str, str, str]:
+    """Return the module, the name and the code of the class of a network's part."""
+    cls = type(part)
+    return cls.__module__, cls.__qualname__, code_of(cls.__module__)
+
+
+def _settings(part: nn.Module) -> Any:
+    """Return what a part of a network predicts with besides weights: attributes, or what a library prints of it."""
+    module = type(part).__module__
+    if isinstance(part, Metric):  # its attributes are results
+        return None
+    if not is_core(module) and not is_plugin(module):
+        return part.extra_repr()
+    settings = {}
+    for name, value in vars(part).items():
+        if name not in INTERNAL and _is_setting(value):
+            with suppress(UserError):  # e.g. a function in a list; the class's code is hashed
+                settings[name] = as_plain(value)
+    return settings
+
+
+def _is_setting(value: Any) -> bool:
+    """Return whether an attribute is a value, not another object such as the factory of an optimiser."""
+    kinds = (bool, int, float, str, list, tuple, Mapping, np.ndarray, Tensor)
+    return isinstance(value, kinds) or is_dataclass(value)
+
+
+def _tensors(part: nn.Module) -> Iterator[tuple[str, Tensor]]:
+    """Yield the weights and buffers of a part of a network without those of its own parts."""
+    yield from part.named_parameters(recurse=False)
+    yield from part.named_buffers(recurse=False)

@@ -20,6 +20,8 @@ from imagination.evaluation.saved_maps import SavedMaps
 from imagination.evaluation.threshold_selection import THRESHOLDS, select_threshold
 from imagination.evaluation.trial_worker import Arrays, TrialPlan, count_trial, evaluate_trial, maps_of
 from imagination.evaluation.trials import Trial, ViewpointSampling, render, trials_of, views_of
+from imagination.utils.cache import code_version
+from imagination.utils.cache_key import as_plain
 from imagination.utils.errors import UserError, check_choice, check_range, first_of
 from imagination.utils.precision import PRECISIONS
 from imagination.utils.progress import progress
@@ -31,6 +33,9 @@ KIND = "evaluation_results"
 
 COUNTED = "counts", "counts_shuffled", "counts_seen", "snap_distance", "first_person"
 """Arrays of a trial that stay in memory until all trials are evaluated; maps do not."""
+
+PACKAGES = ("mapping",)
+"""Packages whose code determines the results of a trial, besides those in every key of the cache."""
 
 
 @runtime_checkable
@@ -97,7 +102,7 @@ class MappingProtocol:
         check_range("evaluation.cell_widths", len(self.cell_widths), 1, 100, "widths")
         for width in self.cell_widths:
             check_range("evaluation.cell_widths", width, 0.25, 50.0, "m")
-        if len(set(map(float, self.cell_widths))) < len(self.cell_widths):
+        if len({f"{width:g}" for width in self.cell_widths}) < len(self.cell_widths):  # as in names of files
             raise UserError(
                 f"evaluation.cell_widths: got {list(self.cell_widths)}, expected each width once; remove the "
                 "duplicates"
@@ -112,6 +117,9 @@ class MappingProtocol:
             )
         check_choice("evaluation.precision", self.precision, PRECISIONS)
         check_range("evaluation.approaches", len(self.approaches), 1, 1000, "approaches")
+        as_plain(
+            self.approaches
+        )  # refuses what has no key, and reads code that may be edited during an evaluation
 
     def available(self, gives: Collection[str]) -> "MappingProtocol":
         """Return the protocol with only the approaches whose network predictions are in `gives`.
@@ -255,7 +263,7 @@ class MappingProtocol:
 
         def start(trial: Trial) -> tuple[dict[str, Any], Future[Arrays] | Arrays]:
             job = {"task": task.__name__, "arguments": repr(arguments), "networks": networks}
-            key = {**job, **plan.key(observer, trial)}
+            key = {**job, **plan.key(observer, trial), "code": code_version(PACKAGES)}
             if model.keep and (cached := cache.load(KIND, key)) is not None:
                 return key, cached
             predictions = self._predict(model, plan, views_of(observer, trial, plan.sampling))

@@ -29,6 +29,8 @@ def model_under_test(
     )
     names = data.unit_categories, observer.categories.names
     predictor = Predictor(models, *names, data.batch_size, precision)
+    if keep:
+        _ = predictor.fingerprint  # read now: its files may be edited while scenes are rendered
     return ModelUnderTest(data.pool, setting, predictor, keep)
 
 

@@ -15,7 +15,7 @@ from imagination.evaluation.saved_maps import SavedMaps
 from imagination.evaluation.threshold_selection import THRESHOLDS, confusion_counts, reached
 from imagination.evaluation.trials import Trial, ViewpointSampling, views_of
 from imagination.geometry.grid import Grid
-from imagination.utils.cache import as_plain
+from imagination.utils.cache_key import as_plain
 from imagination.views.collector import Views
 from imagination.views.observer import Observer
 from imagination.views.random_streams import Stream
@@ -46,10 +46,9 @@ class TrialPlan(NamedTuple):
 
     def key(self, observer: Observer, trial: Trial) -> dict[str, Any]:
         """Return the part of a trial's cache key that does not depend on the networks, as plain values."""
-        views = self.sampling.key(observer, trial)
         return {
-            "views": views,
-            "approaches": as_plain(self.approaches),
+            "views": self.sampling.key(observer, trial),
+            "approaches": as_plain(list(self.approaches.items())),  # arrays have their order
             "categories": self.setting.categories,
         }
 

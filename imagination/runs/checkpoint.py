@@ -24,6 +24,7 @@ from imagination.config.compose import compose
 from imagination.config.key_roles import RESULT_ROLES, role
 from imagination.config.overrides import override_key, set_keys
 from imagination.config.unknown_keys import is_group
+from imagination.data.datamodule import TRAINING_SCENES
 from imagination.models.task_kind import TaskKind
 from imagination.models.weights import mismatches
 from imagination.runs.folder import LAST
@@ -194,11 +195,20 @@ class Checkpoint:
         flat = stopping.get("wait_count", 0) >= stopping.get("patience", 1)
         return counts and {**counts, "flat": flat}
 
-    @property
+    @cached_property
     def scenes(self) -> dict[str, str]:
-        """Fingerprints of the training scenes by name; empty if the checkpoint does not hold them."""
+        """Fingerprints of the training scenes by identity; empty if the checkpoint does not hold them.
+
+        Raises:
+            UserError: if the file was written by a version that stored no identities.
+        """
         states = [state for state in self.state.values() if isinstance(state, dict)]
-        return next((dict(state["scenes"]) for state in states if isinstance(state.get("scenes"), dict)), {})
+        if any(isinstance(state.get("scenes"), dict) for state in states):
+            raise UserError(
+                f"checkpoint {self.path}: holds fingerprints of its training scenes, expected their identities; it was "
+                "written by another version of the program: train again"
+            )
+        return next((dict(state[TRAINING_SCENES]) for state in states if TRAINING_SCENES in state), {})
 
     def check_compatible(self, config: DictConfig, source: str = "the evaluation") -> None:
         """Check that the checkpoint was trained with the camera and the egocentric grid of a config.

@@ -14,9 +14,8 @@ from imagination.runs.command import run_command
 from imagination.runs.composed_config import load_composed_config
 from imagination.runs.final_record import read_final_record
 from imagination.runs.folder import BEST, COMPOSED, LAST
-from imagination.runs.resume import PROGRAM
+from imagination.runs.program import program
 from imagination.runs.sweep_jobs import config_key
-from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError
 
 log = logging.getLogger(__name__)
@@ -31,7 +30,7 @@ def training_config(experiment: str, overrides: Sequence[str]) -> DictConfig:
     """Return the config of an experiment's run, as `imagination.train` composes it."""
     overrides = [f"experiment={experiment}", *overrides]
     config = compose("train", [*overrides, "paths.run=."])
-    config.choices, config.program = result_overrides(overrides, config), code_version(PROGRAM)
+    config.choices, config.program = result_overrides(overrides, config), program(config)
     return config
 
 

@@ -42,20 +42,14 @@ from imagination.runs.hydra_folder import (
 )
 from imagination.runs.locking import locked
 from imagination.runs.logging import FILE_ONLY, logging_to
+from imagination.runs.program import program
 from imagination.utils import interrupts
 from imagination.utils.atomic_io import remove_parts, write_errors_reported, write_text
-from imagination.utils.cache import code_version
 from imagination.utils.errors import UserError, WorkerDiedError
 from imagination.utils.process_group import global_rank
 from imagination.utils.progress import console
 
 log = logging.getLogger(__name__)
-
-PROGRAM = (
-    *("callbacks", "data", "geometry", "ground_truth", "models", "scenes", "views"),
-    *("utils/precision.py", "utils/process_group.py"),
-)
-"""Packages and modules whose code determines the result of a training."""
 
 
 class Run(NamedTuple):
@@ -210,7 +204,7 @@ def begin_run(folder: Path, config: DictConfig) -> Run:
     """Write the config of a new run into its folder and return the run."""
     config.paths.run = str(folder)
     config.choices = result_overrides(HydraConfig.get().overrides.task, config)
-    config.program = code_version(PROGRAM)
+    config.program = program(config)
     try:
         check_targets(config)
     except UserError as error:
@@ -300,7 +294,7 @@ def resume_run(folder: Path, config: DictConfig) -> Run:
     # a file does not choose where to write
     saved.paths, saved.cache = OmegaConf.merge(saved.paths, config.paths), config.cache
     check_paths(saved, config)
-    if OmegaConf.select(saved, "program") != code_version(PROGRAM):
+    if OmegaConf.select(saved, "program") != program(saved):
         log.warning("%s: the program has changed since the start of this run", folder)
     checkpoint = Path(config.ckpt_path) if config.ckpt_path else folder / LAST
     if not checkpoint.is_file():

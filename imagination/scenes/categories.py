@@ -63,6 +63,13 @@ class CategoryTable:
     def names(self) -> list[str]:
         return [row.name for row in self.rows]
 
+    @property
+    def labels(self) -> list[list[Any]]:
+        """Name and labels of each row, in the order of the rows, which determines the indices in images and maps."""
+        return [
+            [row.name, {source: list(labels) for source, labels in row.aliases.items()}] for row in self.rows
+        ]
+
     def index(self, name: str) -> int:
         """Return the index of a category in segmented images: its row + 1.
 

@@ -55,8 +55,18 @@ class SceneSource(Protocol):
             UserError: if the scene does not exist, has no free space, or is damaged.
         """
 
+    def identity(self, scene: str) -> str:
+        """Return a string that stands for the scene itself, e.g. "procedural seed=0 train_0003".
+
+        Evaluations compare it with the identities of the training scenes. It depends on the data set or the seed and on
+        the name; not on code, settings, folders or times of files, nor on the split of a scan that may be in any split.
+        """
+
     def fingerprint(self, scene: str) -> str:
-        """Return a string that changes whenever the result of `load` changes; part of cache keys."""
+        """Return a string that changes whenever data or settings change the result of `load`; part of cache keys.
+
+        Cache keys also hold the code of the class, of the objects that it holds and of all modules that these import.
+        """
 
 
 @runtime_checkable

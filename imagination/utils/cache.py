@@ -19,7 +19,7 @@ import stat
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from importlib.metadata import version
 from math import prod
 from pathlib import Path
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from imagination.utils.atomic_io import PART, remove_stale_parts, replacing
-from imagination.utils.code_hash import code_hash
+from imagination.utils.code_hash import core_hash
 from imagination.utils.errors import CannotWriteError, UserError, check_range
 
 log = logging.getLogger(__name__)
@@ -49,8 +49,8 @@ ENTRY_NAME = re.compile(rf"[0-9a-f]{{64}}{re.escape(ENTRY)}")
 ENTRY_PART = re.compile(rf"\.{ENTRY_NAME.pattern}\.\w+{re.escape(PART)}")
 """Pattern of the names of temporary folders of entries."""
 
-BUILDERS = ("geometry", "scenes", "ground_truth", "views", "data", "evaluation")
-"""Packages whose code builds the entries: a change of the code changes all keys, so no entry is outdated."""
+BUILDERS = ("geometry", "scenes", "ground_truth", "views", "data", "evaluation", "utils/jit.py")
+"""Packages and modules whose code is in every key, so that no entry is outdated."""
 
 
 @dataclass(frozen=True)
@@ -186,9 +186,8 @@ def _read(path: Path) -> bytes:
 
 @functools.cache
 def code_version(packages: tuple[str, ...] = BUILDERS) -> str:
-    """Return the hash of the code of packages, by default those that build entries, and of the ray caster's version."""
-    root = Path(__file__).parents[1]
-    return code_hash(*(root / package for package in packages), versions=[version("embreex")])
+    """Return the hash of the code of packages and modules, by default `BUILDERS`, and of the ray caster's version."""
+    return hashlib.sha256(f"{core_hash(packages)} {version('embreex')}".encode()).hexdigest()
 
 
 class DamagedError(Exception):
@@ -258,15 +257,3 @@ def _arrays(body: memoryview) -> Iterator[tuple[str, np.ndarray]]:
         else:
             array = flat.copy().view(dtype)
         yield entry["name"], array.reshape(shape)
-
-
-def as_plain(value: Any) -> Any:
-    """Convert dataclasses, named tuples and mappings to plain values, for use in a key."""
-    if is_dataclass(value) and not isinstance(value, type):
-        values = {item.name: as_plain(getattr(value, item.name)) for item in fields(value) if item.init}
-        return {"class": f"{type(value).__module__}.{type(value).__qualname__}", **values}
-    if isinstance(value, Mapping):
-        return {str(key): as_plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [as_plain(item) for item in value]
-    return value

@@ -13,7 +13,7 @@ import numpy as np
 
 from imagination.geometry.pose import Pose
 from imagination.scenes.scene import Scene
-from imagination.utils.cache import as_plain
+from imagination.utils.cache_key import as_plain
 from imagination.utils.errors import UserError, check_range
 from imagination.views.observer import Observer
 from imagination.views.random_streams import Stream

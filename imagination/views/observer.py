@@ -1,6 +1,9 @@
 """Observer that renders views of scenes and builds their ground truth, with a cache."""
 
+import hashlib
+import json
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,7 +19,8 @@ from imagination.scenes.renderer import SceneRenderer, renderer_of
 from imagination.scenes.scene import Scene
 from imagination.scenes.sensor import Sensor
 from imagination.scenes.source import SceneSource
-from imagination.utils.cache import Cache, as_plain
+from imagination.utils.cache import Cache
+from imagination.utils.cache_key import as_plain, plugin_code
 from imagination.views.view import View
 
 
@@ -49,13 +53,13 @@ class Observer:
         default_factory=dict, init=False, repr=False, compare=False
     )
 
+    def __post_init__(self) -> None:
+        _ = self._source_code  # read now: its files may be edited while scenes are rendered
+
     def __getstate__(self) -> dict[str, Any]:
-        # renderers cannot be pickled
-        return {
-            **self.__dict__,
-            "_loaded": {},
-            "_ground_truths": {},
-        }
+        # renderers cannot be pickled, and another process may run other code
+        kept = {name: value for name, value in self.__dict__.items() if name != "_source_code"}
+        return {**kept, "_loaded": {}, "_ground_truths": {}}
 
     def scene(self, name: str) -> Scene:
         """Return a scene; each process loads it once."""
@@ -90,19 +94,27 @@ class Observer:
         self._loaded.pop(name, None)
         self._ground_truths.pop(name, None)
 
+    def fingerprint(self, name: str) -> str:
+        """Return a hash that changes whenever a scene changes, be it by data, settings or the code of its source."""
+        text = json.dumps([self.source.fingerprint(name), self._source_code])
+        return hashlib.sha256(text.encode()).hexdigest()
+
     def ground_truth_key(self, name: str) -> dict[str, Any]:
         """Return everything that the ground truth of a scene depends on."""
-        aliases = {row.name: as_plain(row.aliases) for row in self.categories}
         return {
-            "scene": self.source.fingerprint(name),
+            "scene": self.fingerprint(name),
             "spec": as_plain(self.ground_truth_spec),
-            "categories": aliases,
+            "categories": self.categories.labels,
         }
 
     def view_key(self, name: str) -> dict[str, Any]:
         """Return everything that views of a scene depend on except poses and random numbers."""
         parts = {"camera": self.camera, "sensor": self.sensor, "ego": self.ego, "obstacles": self.obstacles}
         return {**self.ground_truth_key(name), **{part: as_plain(value) for part, value in parts.items()}}
+
+    @cached_property
+    def _source_code(self) -> dict[str, str]:
+        return plugin_code(self.source)
 
     def _load(self, name: str) -> tuple[Scene, SceneRenderer]:
         if name not in self._loaded:

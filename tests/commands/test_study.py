@@ -97,7 +97,7 @@ def test_a_run_of_other_code_does_not_count(
     run(tmp_path, "1", OVERRIDES, *DONE)
     train_or_reuse("chair_unet", OVERRIDES, tmp_path)
     assert called == []
-    monkeypatch.setattr("imagination.runs.finished_trainings.code_version", lambda packages: "another")
+    monkeypatch.setattr("imagination.runs.finished_trainings.program", lambda config: "another")
     train_or_reuse("chair_unet", OVERRIDES, tmp_path)
     assert called == ["train experiment=chair_unet scale=test"]
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from imagination.config.contracts import check_plugin
-from imagination.config.plugin_registry import GROUP, Plugin, discover, provided
+from imagination.config.plugin_registry import Plugin, discover, provided
+from imagination.utils.code_hash import GROUP
 from tests.conftest import Command
 
 

@@ -1,18 +1,29 @@
 """The evaluation's config: the checkpoint's run, changed by the command line."""
 
+import os
+import shutil
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from imagination.config.compose import compose
 from imagination.config.overrides import result_overrides
+from imagination.data.datamodule import TRAINING_SCENES
 from imagination.evaluation.checkpoint_config import check_scenes, evaluation_config
 from imagination.runs.checkpoint import KEY, Checkpoint, hyperparameters
+from imagination.scenes.procedural import source as procedural
+from imagination.scenes.source import SPLITS, SceneSource, Split
+from imagination.utils import code_hash
 from imagination.utils.errors import UserError
+from tests.conftest import ROOT
+from tests.data.test_datamodule import data
 from tests.helpers.room_source import Rooms
+from tests.helpers.scanned_buildings import write_matterport
+from tests.helpers.scene_sources import source
 
 
 def checkpoint(choices: list[str], *values: str, name: str = "best") -> Checkpoint:
@@ -186,19 +197,95 @@ def test_nothing_but_plain_values_is_taken_from_a_checkpoint(chair: Checkpoint) 
             evaluation_config([strange], ["ckpt=best.ckpt"])
 
 
-def test_training_scenes_are_not_evaluated(caplog: pytest.LogCaptureFixture) -> None:
-    def trained_in(*scenes: str) -> Checkpoint:
-        state = {"SceneData": {"scenes": {scene: rooms.fingerprint(scene) for scene in scenes}}}
-        return Checkpoint(Path(f"{scenes[0]}.ckpt"), state)
+def trained_in(source: SceneSource, *scenes: str) -> Checkpoint:
+    """Return a checkpoint that was trained in scenes of a source."""
+    fingerprints = {source.identity(scene): source.fingerprint(scene) for scene in scenes}
+    return Checkpoint(Path(f"{scenes[0]}.ckpt"), {"SceneData": {TRAINING_SCENES: fingerprints}})
 
+
+def test_training_scenes_are_not_evaluated(caplog: pytest.LogCaptureFixture) -> None:
     rooms = Rooms(3)
-    check_scenes([trained_in("train_0", "train_1"), Checkpoint(Path("old.ckpt"), {"callbacks": {}})], rooms)
+    check_scenes([trained_in(rooms, "train_0", "train_1")], rooms)
     assert caplog.text == ""
-    check_scenes([trained_in("train_0"), trained_in("train_0", "train_1")], rooms)
+    check_scenes([trained_in(rooms, "train_0"), trained_in(rooms, "train_0", "train_1")], rooms)
     assert "different scenes" in caplog.text
+    check_scenes([Checkpoint(Path("unknown.ckpt"), {"callbacks": {}})], rooms)
+    assert "unknown.ckpt holds no training scenes" in caplog.text
     for scene in ("val_2", "test_0"):
-        with pytest.raises(UserError, match=rf"ckpt: {scene}\.ckpt.*{scene}.*split"):
-            check_scenes([trained_in("train_0"), trained_in(scene)], rooms)
+        with pytest.raises(UserError, match=rf"ckpt: {scene}\.ckpt.*rooms {scene}.*split"):
+            check_scenes([trained_in(rooms, "train_0"), trained_in(rooms, scene)], rooms)
+
+
+class Rebuilt(Rooms):
+    """Rooms whose data or settings have changed."""
+
+    def fingerprint(self, scene: str) -> str:
+        return f"{super().fingerprint(scene)} rebuilt"
+
+
+def test_other_versions_of_the_same_scenes_are_reported(caplog: pytest.LogCaptureFixture) -> None:
+    check_scenes([trained_in(Rooms(3), "train_0"), trained_in(Rebuilt(3), "train_0")], Rooms(3))
+    assert "different versions of the scene source" in caplog.text
+
+
+def test_training_scenes_are_not_evaluated_after_an_edit_of_the_builders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    homes: SceneSource = instantiate(compose("render", ["scale=test"]).data.scenes)
+    trained = trained_in(homes, *homes.scenes("test"))
+    copy = tmp_path / "imagination"
+    shutil.copytree(ROOT / "imagination", copy, ignore=shutil.ignore_patterns("__pycache__"))
+    with open(copy / "scenes" / "procedural" / "scene_builder.py", "a") as builder:
+        builder.write("# a comment\n")
+    monkeypatch.setattr(code_hash, "__file__", str(copy / "utils" / "code_hash.py"))
+    monkeypatch.setattr(procedural, "_code_version", procedural._code_version.__wrapped__)
+    assert homes.fingerprint("test_0000") not in trained.scenes.values()
+    with pytest.raises(UserError, match=r"procedural seed=1 test_0000"):
+        check_scenes([trained], homes)
+
+
+def test_a_scan_is_recognised_in_another_split_and_with_other_times(tmp_path: Path) -> None:
+    names = ["one", "two", "three"]
+    for name in names:
+        write_matterport(tmp_path, name)
+
+    def scans(*order: str) -> SceneSource:
+        for split, name in zip(SPLITS, order, strict=True):
+            (tmp_path / f"scenes_{split}.txt").write_text(name)
+        return source(tmp_path, "data/scenes=matterport3d", f"data.scenes.folder={tmp_path}")
+
+    before = scans("one", "two", "three")
+    trained = trained_in(before, *before.scenes("train"))
+    check_scenes([trained], before)
+    for path in tmp_path.rglob("one*"):
+        os.utime(path, (0, 0))
+    moved = scans("three", "two", "one")
+    assert moved.fingerprint("one_0") not in trained.scenes.values()
+    with pytest.raises(UserError, match=r"one_0\.ckpt was trained in matterport3d one_0.*'test'"):
+        check_scenes([trained], moved)
+
+
+def test_a_checkpoint_without_identities_is_refused(tmp_path: Path) -> None:
+    """Versions before wrote fingerprints by name."""
+    rooms = Rooms(3)
+    old = {"SceneData": {"scenes": {scene: rooms.fingerprint(scene) for scene in rooms.scenes("train")}}}
+    with pytest.raises(UserError, match=r"checkpoint .*old\.ckpt: .*another version.*train again"):
+        check_scenes([Checkpoint(tmp_path / "old.ckpt", old)], rooms)
+
+
+def test_the_data_module_names_the_training_scenes(tmp_path: Path) -> None:
+    module = data(tmp_path, source=Rooms(2))
+    scenes = Checkpoint(Path("best.ckpt"), {"SceneData": module.state_dict()}).scenes
+    assert list(scenes) == ["rooms train_0", "rooms train_1"] and len(set(scenes.values())) == 2
+    with pytest.raises(UserError, match="rooms train_1"):
+        check_scenes([Checkpoint(Path("best.ckpt"), {"SceneData": module.state_dict()})], Swapped(2))
+
+
+class Swapped(Rooms):
+    """Rooms whose training scenes are test scenes."""
+
+    def scenes(self, split: Split) -> list[str]:
+        return super().scenes("train" if split == "test" else split)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from imagination.evaluation.protocol import ModelUnderTest
 from imagination.evaluation.records import Key, Report
 from imagination.evaluation.trials import Trial, ViewpointSampling, views_of
 from imagination.evaluation.viewpoints import Viewpoints
+from imagination.scenes.categories import CategoryTable
 from imagination.utils.errors import UserError
 from tests.helpers.toy_evaluation import Perfect, make_model, make_protocol
 
@@ -157,6 +158,7 @@ def test_scenes_without_the_category_are_left_out(model: ModelUnderTest, report:
         ({"cell_widths": [0.0]}, r"cell_widths: got 0\.0"),
         ({"cell_widths": []}, "cell_widths: got 0"),
         ({"cell_widths": [3, 2.0, 3.0]}, r"cell_widths: got \[3, 2\.0, 3\.0\], expected each width once"),
+        ({"cell_widths": [2.0, 2.0000001]}, "cell_widths: got .*, expected each width once"),
         ({"viewpoint_sets": 0}, "viewpoint_sets: got 0"),
         ({"orientations": 0}, "orientations: got 0"),
     ],
@@ -278,3 +280,32 @@ def test_approaches_that_lack_their_network_are_left_out_unless_asked_for() -> N
         make_protocol(only=["seg_gt", "seg_hrnet"]).available({"maps"})
     with pytest.raises(UserError, match=r"evaluation\.only: got 'seg_gd'.*imagination, "):
         make_protocol(only=["seg_gd"]).available({"maps"})
+
+
+def test_maps_of_scenes_with_any_name_are_saved(
+    model: ModelUnderTest, report: Report, tmp_path: Path
+) -> None:
+    kept: list[saved_maps.SavedMaps] = []
+    protocol = make_protocol(cell_widths=[1.0], viewpoint_sets=1)
+    protocol.evaluate(model, SCENES[:1], report.selected, save=kept.append)
+    names = ["/scans/a.glb", "scans_a.glb", "/scans/a glb", "../a", "a_1m_0", "a"]
+    for name in names:
+        saved_maps.save(tmp_path, kept[0]._replace(trial=Trial(name, 1.0, 0)))
+    paths = list((tmp_path / "maps").iterdir())
+    assert sorted(saved_maps.load(path).trial.scene for path in paths) == sorted(names)
+    assert saved_maps.path_of(tmp_path, Trial("test_0003", 2.5, 0)).name == "test_0003_2.5m_0.npz"
+
+
+def test_the_order_of_approaches_and_categories_does_not_swap_results(
+    model: ModelUnderTest, report: Report, tmp_path: Path
+) -> None:
+    protocol = make_protocol(cell_widths=[1.0])
+    order = list(reversed(protocol.approaches))
+    found = replace(protocol, approaches={name: protocol.approaches[name] for name in order}).evaluate(
+        model, SCENES, report.selected
+    )
+    for key, counts in found.counts.items():
+        assert (counts == report.counts[key]).all()
+    observer = model.pool.observer
+    reordered = replace(observer, categories=CategoryTable(observer.categories.rows[::-1]))
+    assert (reordered.ground_truth("val_0").truth == observer.ground_truth("val_0").truth[::-1]).all()

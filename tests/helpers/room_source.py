@@ -27,5 +27,8 @@ class Rooms:
         turn = 0.7 * int(index) + {"train": 0.0, "val": 0.2, "test": 0.4}[split]
         return tiny_room(turn=turn, size=(5.0 + 0.3 * int(index), 4.0))
 
+    def identity(self, scene: str) -> str:
+        return f"{self.name} {scene}"
+
     def fingerprint(self, scene: str) -> str:
         return f"rooms {scene} {np.pi:.2f}"

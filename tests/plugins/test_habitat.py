@@ -140,3 +140,29 @@ def test_the_real_simulator_can_be_created() -> None:
     from imagination_habitat.doctor import examine
 
     assert [finding.good for finding in examine()] == [True]
+
+
+def test_a_scene_file_is_recognised_where_it_was_moved(fake: Fake, tmp_path: Path) -> None:
+    paths = [tmp_path / folder / "mesh.glb" for folder in ("one", "two")]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_text(path.parent.name)
+
+    def habitat(train: Path, test: Path) -> SceneSource:
+        return source(
+            tmp_path,
+            "data/scenes=habitat",
+            f"data.scenes.scenes={{train: [{train}], val: [a], test: [{test}]}}",
+        )
+
+    before = habitat(*paths)
+    one, two = (before.identity(str(path)) for path in paths)
+    assert one != two and one.startswith("habitat ") and str(tmp_path) not in one
+    moved = tmp_path / "moved.glb"
+    paths[0].rename(moved)
+    assert habitat(paths[1], moved).identity(str(moved)) == one
+
+
+def test_a_scene_in_two_splits_is_refused(fake: Fake, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="data.scenes.scenes: got a more than once"):
+        source(tmp_path, "data/scenes=habitat", "data.scenes.scenes={train: [a, b], val: [c], test: [a]}")

@@ -17,7 +17,8 @@ from imagination.ground_truth.scene_maps import GroundTruthSpec, build
 from imagination.scenes.categories import CategoryTable
 from imagination.scenes.renderer import Image, renderer_of
 from imagination.scenes.scene import Scene
-from imagination.scenes.source import SceneSource
+from imagination.scenes.source import SPLITS, SceneSource, Split
+from imagination.utils.errors import UserError
 from imagination.views.pose_samplers import sample_poses
 from tests.conftest import ROOT
 from tests.helpers.fake_habitat import install
@@ -97,6 +98,23 @@ def test_the_source_has_the_interface_and_is_picklable(source: SceneSource) -> N
     assert copy.scenes("train") == source.scenes("train")
     name = source.scenes("train")[0]
     assert copy.fingerprint(name) == source.fingerprint(name)
+
+
+def test_identities_of_scenes_differ_and_name_the_source(source: SceneSource, tmp_path: Path) -> None:
+    names = [name for split in SPLITS for name in scenes_of(source, split)]
+    identities = [source.identity(name) for name in names]
+    assert len(set(identities)) == len(names)
+    assert all(identity.startswith(f"{source.name} ") for identity in identities)
+    assert pickle.loads(pickle.dumps(source)).identity(names[0]) == identities[0]
+    assert str(tmp_path.parent) not in "".join(identities)
+
+
+def scenes_of(source: SceneSource, split: Split) -> list[str]:
+    """Return the scenes of a split; none of an empty split, as of a data set with one scan."""
+    try:
+        return source.scenes(split)
+    except UserError:
+        return []
 
 
 def test_instance_ids_in_images_belong_to_objects(scene: Scene, images: list[tuple[Pose, Image]]) -> None:

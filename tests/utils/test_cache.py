@@ -3,7 +3,6 @@
 import errno
 import logging
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -18,8 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-import imagination
-from imagination.utils.cache import MAGIC, Cache, code_version, decode, encode
+from imagination.utils.cache import MAGIC, Cache, decode, encode
 from imagination.utils.errors import UserError
 
 KEY = {"scene": "train_0001", "spec": {"resolution": 0.02, "layers": ["chair", None]}}
@@ -157,22 +155,6 @@ def test_readers_never_see_a_partial_entry(tmp_path: Path, caplog: pytest.LogCap
     with ThreadPoolExecutor(6) as pool:
         list(pool.map(lambda job: job[0](job[1]), [(write, k) for k in range(4)] + [(read, 0), (read, 1)]))
     assert not caplog.text and len(list(tmp_path.rglob("*.*"))) == 1
-
-
-def test_code_version_covers_the_builders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A change in any of the packages changes the version."""
-    package = Path(imagination.__file__).parent
-    shutil.copytree(package, tmp_path / "imagination", ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(
-        "imagination.utils.cache.__file__", str(tmp_path / "imagination" / "utils" / "cache.py")
-    )
-    versions = {code_version.__wrapped__()}
-    assert versions == {code_version()}
-    for file in ("geometry/crop.py", "scenes/renderer.py", "ground_truth/scene_maps.py", "views/view.py"):
-        with open(tmp_path / "imagination" / file, "a") as code:
-            code.write("# changed")
-        versions.add(code_version.__wrapped__())
-    assert len(versions) == 5
 
 
 def fill(cache: Cache, *numbers: int) -> None:

@@ -14,7 +14,7 @@ from zlib import crc32
 
 import numpy as np
 
-from imagination.data.datamodule import SceneData
+from imagination.data.datamodule import TRAINING_SCENES, SceneData
 from imagination.data.shards.writer import (
     INDEX,
     chunk_name,
@@ -23,7 +23,8 @@ from imagination.data.shards.writer import (
     json_round_trip,
     prepare_litdata,
 )
-from imagination.utils.cache import as_plain, decode
+from imagination.utils.cache import decode
+from imagination.utils.cache_key import as_plain
 from imagination.utils.errors import UserError, check_range, first_of
 from imagination.utils.process_group import global_rank, world_size
 from imagination.views.collector import Views, concatenate
@@ -188,9 +189,7 @@ class Shards:
         Raises:
             UserError: if a scene differs.
         """
-        if changed := [
-            scene for scene in scenes if self.fingerprints[scene] != observer.source.fingerprint(scene)
-        ]:
+        if changed := [scene for scene in scenes if self.fingerprints[scene] != observer.fingerprint(scene)]:
             raise UserError(
                 f"data.shards: got scenes in {self.place} that differ from those of the same names in the config's "
                 f"scene source: {first_of(changed)}; use the scene source and furniture with which they were written"
@@ -296,8 +295,8 @@ class ShardData(SceneData):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the training scenes and the specification of their views, since a dataset may grow or move."""
-        scenes = {scene: self.observer.source.fingerprint(scene) for scene in self._scenes}
-        return {"scenes": scenes, "recipe": self._spec}
+        fingerprints = self._fingerprints(self._scenes)
+        return {TRAINING_SCENES: fingerprints, "scenes": self._scenes, "recipe": self._spec}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self._scenes, self._spec = list(state_dict["scenes"]), state_dict["recipe"]

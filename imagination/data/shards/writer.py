@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import logging
 import os
-import re
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -22,7 +21,8 @@ from typing import IO, Any, NamedTuple
 from zlib import crc32
 
 from imagination.utils.atomic_io import remove_parts, replacing, write_text
-from imagination.utils.cache import as_plain, code_version, encode
+from imagination.utils.cache import code_version, encode
+from imagination.utils.cache_key import as_plain
 from imagination.utils.errors import (
     CannotWriteError,
     UserError,
@@ -32,6 +32,7 @@ from imagination.utils.errors import (
     require_extra,
 )
 from imagination.utils.file_lock import lock, locked_file
+from imagination.utils.file_names import file_name
 from imagination.views.collector import PoseSampler, render_views
 from imagination.views.observer import Observer
 from imagination.views.random_streams import Stream
@@ -42,8 +43,8 @@ log = logging.getLogger(__name__)
 INDEX = "index.json"
 """Name of the file in which litdata lists the chunks."""
 
-ABOUT = "chunk-about.bin"
-"""Name of the chunk that holds only the description of the dataset."""
+ABOUT = "chunk--about.bin"
+"""Name of the chunk that holds only the description of the dataset; no file name of a scene begins with a hyphen."""
 
 MAX_BYTES = 2**32 - 2**20
 """Maximum size of a chunk, bytes: litdata's offsets have 32 bits."""
@@ -147,9 +148,7 @@ def unwritten(folder: Path, observer: Observer, scenes: Sequence[str], spec: Sha
     """
     records = read_records(folder, observer, spec)
     written = [scene for scene in scenes if scene in records]
-    if changed := [
-        scene for scene in written if records[scene].fingerprint != observer.source.fingerprint(scene)
-    ]:
+    if changed := [scene for scene in written if records[scene].fingerprint != observer.fingerprint(scene)]:
         raise UserError(
             f"shards: got scenes that differ from those of the same names in {folder} ({first_of(changed)}); write to "
             "another folder, use the scene source of that folder, or remove "
@@ -234,8 +233,7 @@ def write_scene(observer: Observer, scene: str, folder: Path, spec: ShardSpec) -
     finally:
         observer.forget(scene)  # otherwise a worker would hold every scene of the dataset in the end
     chunk = _write_chunk(folder / chunk_name(scene), items)
-    fingerprint = observer.source.fingerprint(scene)
-    record = Record(scene, fingerprint, spec.view_settings(observer), len(items), chunk)
+    record = Record(scene, observer.fingerprint(scene), spec.view_settings(observer), len(items), chunk)
     write_text(_record_path(folder, scene), json.dumps(record._asdict()))
 
 
@@ -282,8 +280,8 @@ def write_index(folder: Path, observer: Observer, spec: ShardSpec) -> dict[str, 
 def describe(observer: Observer) -> dict[str, Any]:
     """Return the settings that the views of every scene depend on."""
     parts = ("camera", "sensor", "ego", "obstacles", "ground_truth_spec")
-    table = {row.name: as_plain(row.aliases) for row in observer.categories}
-    return {**{part: as_plain(getattr(observer, part)) for part in parts}, "categories": table}
+    settings = {part: as_plain(getattr(observer, part)) for part in parts}
+    return {**settings, "categories": observer.categories.labels}
 
 
 def json_round_trip(description: dict[str, Any]) -> dict[str, Any]:
@@ -311,19 +309,13 @@ def prepare_litdata() -> None:
     os.environ.setdefault("LITDATA_DISABLE_VERSION_CHECK", "1")
 
 
-def _stem(scene: str) -> str:
-    """Return the stem of a scene's file names: its name or, if it has other characters, one with a checksum."""
-    safe = re.sub(r"[^\w.+-]", "_", scene)
-    return scene if safe == scene else f"{safe}-{crc32(scene.encode()):08x}"
-
-
 def chunk_name(scene: str) -> str:
     """Return the file name of a scene's chunk."""
-    return f"chunk-{_stem(scene)}.bin"
+    return f"chunk-{file_name(scene)}.bin"
 
 
 def _record_path(folder: Path, scene: str) -> Path:
-    return folder / f"{_stem(scene)}.record.json"
+    return folder / f"{file_name(scene)}.record.json"
 
 
 def _write_chunk(path: Path, items: Sequence[bytes]) -> dict[str, Any]:

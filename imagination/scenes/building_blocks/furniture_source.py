@@ -55,7 +55,7 @@ class Furniture(Protocol):
         """
 
     def fingerprint(self) -> str:
-        """Return a string that changes whenever a piece changes."""
+        """Return a string that changes whenever data or settings change a piece; cache keys also hold the code."""
 
     def credits(self) -> Sequence[Credit]:
         """Return the models by other authors, which results must credit; may be empty."""

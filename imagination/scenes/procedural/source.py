@@ -4,7 +4,6 @@ import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from imagination.scenes.procedural.furniture.procedural_furniture import Procedu
 from imagination.scenes.procedural.scene_builder import build_home
 from imagination.scenes.scene import Scene
 from imagination.scenes.source import SPLITS, Credit, Split
-from imagination.utils.code_hash import code_hash
+from imagination.utils.code_hash import core_hash
 from imagination.utils.errors import UserError, check_range
 
 MAX_SCENES = 9999
@@ -22,6 +21,18 @@ MAX_SCENES = 9999
 
 SPARE = "known"
 """Name prefix of homes that have training furniture but are not used in training."""
+
+BUILDERS = (
+    *(
+        "scenes/procedural",
+        "scenes/building_blocks",
+        "scenes/free_space.py",
+        "scenes/scene.py",
+        "scenes/categories.py",
+    ),
+    *("scenes/source.py", "geometry/grid.py", "geometry/pose.py", "utils/jit.py"),
+)
+"""Packages and modules of the core that build homes."""
 
 
 class ProceduralHomes:
@@ -108,6 +119,11 @@ class ProceduralHomes:
             scene, self._seed, split, number, self._categories, self._robot_radius, self._furniture
         )
 
+    def identity(self, scene: str) -> str:
+        """Return the seed and the name of a home, whatever its furniture."""
+        self._parse(scene)
+        return f"{self.name} seed={self._seed} {scene}"
+
     def fingerprint(self, scene: str) -> str:
         """Return a hash of the seed, home, robot, category labels, furniture and code of the builders."""
         self._parse(scene)
@@ -136,6 +152,4 @@ class ProceduralHomes:
 @cache
 def _code_version() -> str:
     """Return the hash of the code that builds homes and of the version of NumPy, whose random numbers it uses."""
-    scenes = Path(__file__).parents[1]
-    code = scenes / "procedural", scenes / "building_blocks", scenes / "free_space.py"
-    return code_hash(*code, versions=[np.__version__])
+    return f"{core_hash(BUILDERS)} numpy {np.__version__}"

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -14,8 +15,7 @@ from imagination.geometry.camera import Camera
 from imagination.scenes.categories import CategoryTable
 from imagination.scenes.scene import FreeSpace, Lighting, Mesh, Scene, SceneObject
 from imagination.scenes.source import SPLITS, Split
-from imagination.utils.code_hash import code_hash
-from imagination.utils.errors import UserError, check_choice
+from imagination.utils.errors import UserError, check_choice, first_of
 from imagination.views.pose_samplers import sample_poses
 from imagination_habitat.frames import free_grid, upright_box
 from imagination_habitat.simulator import CELL_HEIGHT, SIMULATORS, HabitatRenderer, make_navmesh
@@ -45,7 +45,7 @@ class HabitatScenes:
         resolution: cell size of the free-space grid, metres.
 
     Raises:
-        UserError: if a file does not exist or a split is unknown.
+        UserError: if a file does not exist, a split is unknown, or a scene is listed more than once.
     """
 
     name = "habitat"
@@ -63,6 +63,12 @@ class HabitatScenes:
     ) -> None:
         for split in scenes:
             check_choice("data.scenes.scenes", split, SPLITS)
+        counts = Counter(name for split_scenes in scenes.values() for name in split_scenes)
+        if repeated := [name for name, count in counts.items() if count > 1]:
+            raise UserError(
+                f"data.scenes.scenes: got {first_of(repeated)} more than once, expected each scene in one split; leave "
+                "out the others"
+            )
         if dataset and not Path(dataset).is_file():
             raise UserError(
                 f"data.scenes.dataset: got {dataset}, which does not exist, expected a *.scene_dataset_config.json"
@@ -105,13 +111,19 @@ class HabitatScenes:
         self._check_semantics(loaded, renderer)
         return loaded
 
+    def identity(self, scene: str) -> str:
+        """Return the names of the data set and the scene, or a hash of the content of a scene that is a file."""
+        if Path(scene).is_file():
+            return f"{self.name} {_content_hash(scene)}"
+        return " ".join(filter(None, [self.name, Path(self._dataset).name, scene]))
+
     def fingerprint(self, scene: str) -> str:
-        """Return a hash of the scene's name and file, the settings and this code, but not of files referred to."""
+        """Return a hash of the scene's name and file and of the settings, but not of files referred to."""
         files = [
             (path, Path(path).stat().st_mtime_ns) for path in (self._dataset, scene) if Path(path).is_file()
         ]
         settings = self._robot_radius, self._resolution, sorted(self._category_of.items()), str(self._camera)
-        text = json.dumps([self.name, self._dataset, scene, files, repr(settings), code_version()])
+        text = json.dumps([self.name, self._dataset, scene, files, repr(settings)])
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _free_space(self, pathfinder: Any, level: float, scene: str) -> FreeSpace:
@@ -184,6 +196,7 @@ def _empty_mesh() -> Mesh:
 
 
 @cache
-def code_version() -> str:
-    """Return the hash of this plugin's code."""
-    return code_hash(Path(__file__).parent)
+def _content_hash(path: str) -> str:
+    """Return the hash of the content of a file, which stays the same when the file is moved."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]

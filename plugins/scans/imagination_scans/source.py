@@ -4,7 +4,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Mapping, Sequence
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,8 @@ from imagination.scenes.free_space import free_space
 from imagination.scenes.scene import Lighting, Scene, SceneObject
 from imagination.scenes.source import SPLITS, Credit, Split
 from imagination.utils.cache import Cache
-from imagination.utils.code_hash import code_hash
+from imagination.utils.cache_key import as_plain
+from imagination.utils.code_hash import module_hash
 from imagination.utils.errors import UserError, check_choice
 from imagination_scans.building import (
     Building,
@@ -109,8 +110,12 @@ class ScannedBuildings:
         floor, _ = self._floors(name)[number]
         return self._scene(scene, _building(self._layout, self._buildings[name]), floor)
 
+    def identity(self, scene: str) -> str:
+        """Return the names of the data set, the building and the floor, whatever the split of the building."""
+        return f"{self.name} {scene}"
+
     def fingerprint(self, scene: str) -> str:
-        """Return a hash of the building's files (sizes and times), robot, names and the code of this plugin."""
+        """Return a hash of the building's files (sizes and times), layout, robot and names."""
         name, number = self._parse(scene)
         settings = self._robot_radius, self._clearance, sorted(self._category_of.items())
         text = repr((self._key(name), number, settings))
@@ -182,7 +187,7 @@ class ScannedBuildings:
             }
 
         settings = [self._robot_radius, *self._clearance, self._largest]
-        key = {"building": self._key(name), "floors": settings}
+        key = {"building": self._key(name), "floors": settings, "code": module_hash(__name__)}
         arrays = self._cache.get_or_build("buildings", key, find_floors)
         problems: list[str] = json.loads(arrays["problems"].tobytes())
         return [
@@ -202,16 +207,10 @@ class ScannedBuildings:
     def _key(self, name: str) -> str:
         files = self._layout.files(self._buildings[name])
         stamps = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files]
-        return json.dumps([self.name, name, stamps, code_version()])
+        return json.dumps([self.name, name, stamps, as_plain(self._layout)])
 
 
 @lru_cache(maxsize=2)
 def _building(layout: Layout, path: Path) -> Building:
     """Read a building; the last one is cached, since its floors are usually loaded one after another."""
     return layout.read(path)
-
-
-@cache
-def code_version() -> str:
-    """Return the hash of this plugin's code."""
-    return code_hash(Path(__file__).parent)

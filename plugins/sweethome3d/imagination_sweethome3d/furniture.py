@@ -5,7 +5,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from imagination.scenes.building_blocks.pieces import Piece, Seat, Surface
 from imagination.scenes.scene import Material
 from imagination.scenes.source import SPLITS, Credit, Split
 from imagination.utils.cache import Cache
-from imagination.utils.code_hash import code_hash
+from imagination.utils.code_hash import module_hash
 from imagination.utils.errors import UserError
 from imagination_sweethome3d.archives import open_archive
 from imagination_sweethome3d.catalogue import Catalogue, Entry, fingerprint, read_catalogue
@@ -68,9 +68,9 @@ class SweetHomeFurniture:
         return self._piece(label, entries[int(rng.integers(len(entries)))])
 
     def fingerprint(self) -> str:
-        """Return a hash of the archives and the code of this plugin."""
+        """Return a hash of the archives."""
         parts = [fingerprint(path) for path in find_archives(self.folder)]
-        return hashlib.sha256(" ".join([*parts, code_version()]).encode()).hexdigest()
+        return hashlib.sha256(" ".join(parts).encode()).hexdigest()
 
     def credits(self) -> Sequence[Credit]:
         """Return all models in use with their authors and licences."""
@@ -224,7 +224,7 @@ def _load_arrays(path: Path, label: str, entry: Entry, cache: Cache) -> dict[str
     Raises:
         UnfitError: if the model is invalid; the reason is cached as well.
     """
-    key = {"archive": fingerprint(path), "entry": entry.id, "label": label, "code": code_version()}
+    key = {"archive": fingerprint(path), "entry": entry.id, "label": label, "code": module_hash(__name__)}
     arrays = cache.get_or_build("models", key, lambda: _prepare_arrays(path, label, entry))
     if reason := _decode_report(arrays)[0]:
         raise UnfitError(reason)
@@ -264,9 +264,3 @@ def _prepare_arrays(path: Path, label: str, entry: Entry) -> dict[str, np.ndarra
         "surfaces": np.array(surfaces, np.float64).reshape(-1, len(Surface._fields)),
         **textures,
     }
-
-
-@cache
-def code_version() -> str:
-    """Return the hash of this plugin's code."""
-    return code_hash(Path(__file__).parent)

@@ -23,7 +23,7 @@ from imagination.scenes.source import SPLITS, Credit, Split
 from imagination.utils.errors import UserError, check_choice
 from imagination_sweethome3d.archives import Archive, open_archive
 from imagination_sweethome3d.catalogue import Entry, fingerprint, names_in_all_languages, read_catalogue
-from imagination_sweethome3d.furniture import code_version, entry_label, find_archives
+from imagination_sweethome3d.furniture import entry_label, find_archives
 from imagination_sweethome3d.home_file import HomePiece, Level, read_home
 from imagination_sweethome3d.labels import label_of, label_of_name
 from imagination_sweethome3d.models import Model, UnfitError, fit_model, read_model
@@ -171,8 +171,12 @@ class SweetHomes:
                     credits.add(Credit(split, label, piece.key, piece.creator, licence, path.name))
         return sorted(credits)
 
+    def identity(self, scene: str) -> str:
+        """Return the name of a level, whatever the split of its file."""
+        return f"{NAME} {scene}"
+
     def fingerprint(self, scene: str) -> str:
-        """Return a hash of the file, robot radius, catalogues, category aliases and code of this plugin."""
+        """Return a hash of the file, robot radius, catalogues and category aliases."""
         path, _ = self._level(scene)
         aliases = [
             (row.name, {source: sorted(labels) for source, labels in row.aliases.items()})
@@ -180,7 +184,7 @@ class SweetHomes:
         ]
         content = hashlib.sha256(path.read_bytes()).hexdigest()
         archives = [fingerprint(path) for path in _catalogues(self._catalogues)]
-        text = repr((NAME, scene, content, self._robot_radius, aliases, archives, code_version()))
+        text = repr((NAME, scene, content, self._robot_radius, aliases, archives))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _files(self) -> dict[Split, list[Path]]:

@@ -304,6 +304,31 @@ def streamed(dataset: str, folder: Path, count: int, gigabytes: float = 1.0) -> 
     )  # fmt: skip
 
 
+class Named(Rooms):
+    """Rooms with names that are paths."""
+
+    NAMES = ("scans/a b", "scans/a_b", "scans_a_b", "about", "-about")
+
+    def scenes(self, split: Split) -> list[str]:
+        return list(self.NAMES) if split == "train" else super().scenes(split)
+
+    def load(self, scene: str) -> Scene:
+        return tiny_room(turn=0.1 * self.NAMES.index(scene))
+
+
+def test_scenes_with_any_name_are_written_and_read(tmp_path: Path) -> None:
+    watcher = observer(tmp_path, Named())
+    spec = replace(SPEC, views=2)
+    for scene in Named.NAMES:
+        writer.write_scene(watcher, scene, tmp_path / "dataset", spec)
+    assert writer.unwritten(tmp_path / "dataset", watcher, Named.NAMES, spec) == []
+    writer.write_index(tmp_path / "dataset", watcher, spec)
+    read = opened(tmp_path / "dataset")
+    assert set(read.scenes) == set(Named.NAMES)
+    views = [poses(read.read(scene, 0)) for scene in Named.NAMES]
+    assert len({tuple(each) for each in views}) == len(Named.NAMES)
+
+
 def test_training_uses_only_scenes_of_its_split(
     dataset: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -42,8 +42,11 @@ class BoxRooms:
         seat = object_of(1, objects[1], "chair")
         return Scene(scene, mesh, Lighting(), (seat,), free_space(mesh, 0.0, self.robot_radius))
 
+    def identity(self, scene: str) -> str:
+        return f"{self.name} {scene}"
+
     def fingerprint(self, scene: str) -> str:
-        return f"box rooms 2 {scene} {self.robot_radius}"
+        return f"{scene} {self.robot_radius}"
 
 
 def _placed(label: str, solid: Solid, colour: tuple[float, float, float]) -> Placed:
