@@ -44,10 +44,11 @@ class Source(NamedTuple):
 
 def core_hash(paths: Iterable[str]) -> str:
     """Return the hash of the code of packages and modules of the core, e.g. "geometry" or "utils/jit.py"."""
-    names = tuple(paths)
-    digests = _core_digests(Path(__file__).parents[1])
-    chosen = [row for row in digests.items() if any(f"{row[0]}/".startswith(f"{name}/") for name in names)]
-    return _digest(repr(chosen).encode())
+    chosen = tuple(f"{path}/" for path in paths)
+    digests = _core_digests(Path(__file__).parents[1]).items()
+    return _digest(
+        repr([(file, digest) for file, digest in digests if f"{file}/".startswith(chosen)]).encode()
+    )
 
 
 def code_of(module: str) -> str:
@@ -99,14 +100,11 @@ def module_hash(name: str) -> str:
     digests: dict[str, str] = {}
     pending = [name]
     while pending:
-        for module in accumulate(
-            pending.pop().split("."), "{}.{}".format
-        ):  # importing a module runs its packages
-            if (
-                module not in digests
-                and _is_followed(module, name)
-                and (source := _source(module)) is not None
-            ):
+        parts = pending.pop().split(".")
+        for module in accumulate(parts, "{}.{}".format):  # importing a module runs its packages
+            if module in digests or not _is_followed(module, name):
+                continue
+            if (source := _source(module)) is not None:
                 digests[module] = source.digest
                 pending += source.imports
     return _digest(repr(sorted(digests.items())).encode())

@@ -231,3 +231,5 @@ def test_commands_evaluate_an_edited_plugin_again(command: Command, tmp_path: Pa
     assert run("evaluate", ckpt) == (more, edited)
     edit(plugin / "imagination_example" / "rooms.py", "box(0.5, 0.5, 0.8)", "box(0.9, 0.5, 0.8)")
     assert run("evaluate", ckpt)[0] == 3 * entries
+    done = command("train", "resume=latest", "trainer.max_epochs=2")
+    assert done.returncode == 0 and "the program has changed" in done.stderr, done.stderr

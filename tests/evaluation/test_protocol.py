@@ -257,7 +257,10 @@ def test_an_interrupted_evaluation_continues_from_the_cache(tmp_path: Path) -> N
     assert Stops.calls == 3 + 2 + 4  # other networks, other results
 
 
-def test_workers_change_nothing(model: ModelUnderTest, report: Report, tmp_path: Path) -> None:
+def test_workers_change_nothing(
+    model: ModelUnderTest, report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trials, "_render", lambda *_: pytest.fail("rendered in the main process as well"))
     several = make_model(tmp_path, workers=2)
     protocol = make_protocol(cell_widths=[1.0])
     try:
