@@ -31,7 +31,7 @@ lint:
 	$(VENV)/bin/lint-imports --no-logo
 
 pytest:
-	$(RUN) -m pytest -n 2 --dist loadgroup
+	$(RUN) -m pytest -n 2 --dist worksteal
 
 slow: setup
 	$(RUN) -m pytest -m slow

@@ -81,12 +81,14 @@ def counts_of(trials: pd.DataFrame, suffix: str = "") -> Counts:
         trials: trials of one approach and category.
         suffix: suffix of the columns; see `record_files`.
     """
-    columns = [f"{name}{suffix}" for name in PIXELS]
-    summed = trials.groupby(["seed", "scene"], sort=False)[columns].sum()
-    seeds, scenes = sorted(trials["seed"].unique()), trials["scene"].unique()
-    common = [scene for scene in scenes if all((seed, scene) in summed.index for seed in seeds)]
-    rows = [(seed, scene) for seed in seeds for scene in common]
-    return summed.loc[rows].to_numpy(np.int64).reshape(len(seeds), len(common), 3)
+    values = trials[[f"{name}{suffix}" for name in PIXELS]].to_numpy(np.int64)
+    seeds, seed = np.unique(trials["seed"].to_numpy(), return_inverse=True)
+    scene, scenes = pd.factorize(trials["scene"])
+    counts = np.zeros((len(seeds), len(scenes), 3), np.int64)
+    np.add.at(counts, (seed, scene), values)
+    present = np.zeros(counts.shape[:2], np.bool_)
+    present[seed, scene] = True
+    return counts[:, present.all(axis=0)]
 
 
 def estimate(counts: Counts, bootstrap: Bootstrap, measure: str = "iou") -> Estimate:
@@ -101,20 +103,30 @@ def difference(
 
     If no training has the same seed in both, only the means over seeds are compared.
     """
-    trial = ["cell_width", "scene", "viewpoint_set"]
     paired = set(ours["seed"]) & set(theirs["seed"])
     if paired:
         ours, theirs = (part[part["seed"].isin(paired)] for part in (ours, theirs))
-    common = ours[trial].drop_duplicates().merge(theirs[trial].drop_duplicates())
-    if common.empty:
+    ours, theirs = common_trials(ours, theirs)
+    if ours.empty:
         return None
-    first, second = (counts_of(part.merge(common, on=trial)) for part in (ours, theirs))
+    first, second = counts_of(ours), counts_of(theirs)
     samples = _samples(first, bootstrap, measure), _samples(second, bootstrap, measure)
     values = _values(first, measure), _values(second, measure)
     return _estimate(
         values[0] - values[1] if paired else np.array([values[0].mean() - values[1].mean()]),
         None if samples[0] is None or samples[1] is None else samples[0] - samples[1],
     )
+
+
+def common_trials(ours: pd.DataFrame, theirs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the trials that both have, of all training seeds."""
+    columns = ["cell_width", "scene", "viewpoint_set"]
+    trials = [list(part[columns].itertuples(index=False, name=None)) for part in (ours, theirs)]
+    if trials[0] == trials[1]:
+        return ours, theirs
+    common = set(trials[0]) & set(trials[1])
+    kept = [[trial in common for trial in each] for each in trials]
+    return ours[kept[0]], theirs[kept[1]]
 
 
 def deviation(values: Sequence[float] | Float64[np.ndarray, " n"]) -> float:

@@ -21,8 +21,6 @@ from tests.helpers.robot import RecordedFrame, corridor_path, drive, record_bag,
 from tests.helpers.rooms import tiny_room
 from tests.helpers.toy_units import CAMERA
 
-pytestmark = pytest.mark.xdist_group("unit_file")  # the fixture exports a unit, in each process that needs it
-
 K = "recording.camera.values.colour={width:48,height:48,fx:24,fy:24,cx:23.5,cy:23.5}"
 
 

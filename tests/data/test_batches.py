@@ -96,7 +96,8 @@ def fit(data: SceneData, epochs: int, checkpoint: str | None = None, **arguments
     return recorder
 
 
-def test_batches_depend_neither_on_workers_nor_on_resumption(tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_batches_depend_neither_on_workers_nor_on_resumption(tmp_path: Path, workers: int) -> None:
     checkpoints = ModelCheckpoint(tmp_path, "{epoch}", save_top_k=-1, save_on_train_epoch_end=True)
     folders = iter(str(number) for number in range(9))  # nothing is read from the cache of another training
 
@@ -107,8 +108,8 @@ def test_batches_depend_neither_on_workers_nor_on_resumption(tmp_path: Path) -> 
     whole = trained(0, 4, callbacks=[checkpoints])
     assert list(whole) == [0, 1, 2, 3] and all(len(batches) == 3 for batches in whole.values())
     assert not equal(whole[1], whole[2])
-    pooled = trained(2, 4, enable_checkpointing=False, num_sanity_val_steps=0)
-    resumed = trained(2, 4, str(tmp_path / "epoch=1.ckpt"), enable_checkpointing=False)
+    pooled = trained(workers, 4, enable_checkpointing=False, num_sanity_val_steps=0)
+    resumed = trained(workers, 4, str(tmp_path / "epoch=1.ckpt"), enable_checkpointing=False)
     assert list(pooled) == [0, 1, 2, 3] and list(resumed) == [2, 3]
     assert all(equal(whole[epoch], pooled[epoch]) for epoch in pooled)
     assert all(equal(whole[epoch], resumed[epoch]) for epoch in resumed)

@@ -23,8 +23,6 @@ from tests.helpers.robot import ROS2, corridor_path, drive
 from tests.helpers.rooms import tiny_room
 from tests.helpers.toy_units import CAMERA
 
-pytestmark = pytest.mark.xdist_group("unit_file")  # the fixture exports a unit, in each process that needs it
-
 pytest.importorskip("zenoh")
 sys.path.append(str(ROOT / "plugins" / "ros"))
 
