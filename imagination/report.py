@@ -32,6 +32,10 @@ def validate(config: DictConfig) -> None:
             "folder: got none, expected the results of a run, an evaluation, a study or a sweep: "
             "folder=outputs/chair_unet/latest"
         )
+    for key in ("docs", "output"):
+        value = config[key]
+        if value is not None and (Path(str(value)).is_file() or Path(str(value)).suffix == ".md"):
+            raise UserError(f"{key}: got {value}, expected a folder; leave the file name out")
     if config.docs is not None and config.output is not None:
         raise UserError(
             f"output: got {config.output} and docs={config.docs}, expected one of them; leave one out"
@@ -53,7 +57,9 @@ def write(folder: Path, docs: Path | None = None, output: Path | None = None) ->
     try:
         page = markdown.write(docs, content) if docs else html.write(output or folder, content)
     except CannotWriteError as error:
-        raise UserError(f"{error.__cause__}; write the report into another folder with output=…") from error
+        raise UserError(
+            f"{error.__cause__}; write the report into another folder with {'docs' if docs else 'output'}=…"
+        ) from error
     for problem in content.problems:
         print(f"incomplete: {problem}", file=sys.stderr)
     print(f"Report: {page}", file=sys.stderr)

@@ -25,7 +25,7 @@ from imagination.evaluation.checkpoint_config import evaluation_config
 from imagination.models.task_kind import TaskKind
 from imagination.runs.command import command, run_command
 from imagination.runs.command_line import command_line, own_arguments
-from imagination.runs.final_record import read_final_record, write_final_record
+from imagination.runs.final_record import FINAL, write_final_record
 from imagination.runs.finished_trainings import is_evaluation_only, train_or_reuse, training_config
 from imagination.runs.folder import CONFIG
 from imagination.runs.hydra_folder import new_run_folder
@@ -110,9 +110,8 @@ def evaluate_seed(
     for experiment in config.experiments:
         with stage(f"{experiment} {name}".strip()):
             checkpoints.append(str(train_or_reuse(experiment, training, Path(config.paths.outputs))))
-    if seed is not None and read_final_record(folder / name) is not None:
-        log.info("%s: already evaluated, %s", name, folder / name)
-        return
+    if seed is not None:  # evaluated again after an interruption; finished trials are in the cache
+        (folder / name / FINAL).unlink(missing_ok=True)
     with stage(f"evaluation {name}".strip()):
         place = assignment("hydra.run.dir", str(folder / name))
         run_command("evaluate", [f"ckpt={json.dumps(checkpoints)}", *evaluation, place])

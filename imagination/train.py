@@ -16,6 +16,7 @@ from imagination.runs.preflight import check_accelerator, check_processes, out_o
 from imagination.runs.resume import Run, open_run
 from imagination.runs.run_summary import summary, write_single_view_scores
 from imagination.utils.errors import UserError
+from imagination.utils.provenance import git_commit
 from imagination.utils.timing import stage
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ def main(config: DictConfig) -> float | None:
             "train: got false for a new run, expected true; evaluate an existing run with resume=<run folder> "
             "train=false, or a checkpoint with python -m imagination.evaluate ckpt=…"
         )
+    git_commit()  # read before files are edited
     with open_run(config) as run:
         log.info("Run folder: %s", run.folder)
         task, trainer, metrics = train(run)

@@ -186,7 +186,7 @@ KEYS: Mapping[str, Key] = {
     "trainer.*": Key(Role.TRAINING),
     "trainer": Key(Role.EXECUTION),  # the group selects hardware
     # evaluation
-    "evaluation.cell_widths": Key(Role.EVALUATION, 0.1, 100.0, "m", "cell width", ("scale.cell_widths",)),
+    "evaluation.cell_widths": Key(Role.EVALUATION, 0.25, 50.0, "m", "cell width", ("scale.cell_widths",)),
     "evaluation.viewpoint_sets": Key(Role.EVALUATION, 1, 10_000, old=("scale.viewpoint_sets",)),
     "evaluation.orientations": Key(
         Role.EVALUATION, 1, 1000, symbol="orientations", old=("scale.orientations",)

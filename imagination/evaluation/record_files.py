@@ -80,6 +80,10 @@ class Evaluation(NamedTuple):
     provenance: Provenance
 
 
+class OtherVersionError(UserError):
+    """Records of another version of the format."""
+
+
 class Records(NamedTuple):
     """Records of an evaluation.
 
@@ -118,7 +122,7 @@ def _rows(split: str, report: Report) -> Iterator[list[Any]]:
         for place, scene in enumerate(report.scenes[key.category]):
             for number in range(counts.shape[1]):
                 pixels = [value for each in others for value in each[place, number].tolist()]
-                yield [split, key.approach, key.category, f"{key.cell_width:g}", scene, number, *pixels]
+                yield [split, key.approach, key.category, f"{key.cell_width:.17g}", scene, number, *pixels]
 
 
 def _about(evaluation: Evaluation) -> dict[str, Any]:
@@ -278,7 +282,8 @@ def read_about(path: Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: if the file is missing.
-        UserError: if it is of another version, or a value has the wrong type or range.
+        OtherVersionError: if it is of another version.
+        UserError: if a value has the wrong type or range.
     """
     try:
         with open(path) as file:
@@ -291,7 +296,7 @@ def read_about(path: Path) -> dict[str, Any]:
     except Exception as error:  # the json module raises various exceptions on damaged files
         raise UserError(f"{path}: is damaged ({error}); run the evaluation again to write it") from error
     if version != VERSION:
-        raise UserError(
+        raise OtherVersionError(
             f"{path}: got records of version {version!r}, expected {VERSION}; evaluate the checkpoint again with "
             "python -m imagination.evaluate ckpt=…"
         )

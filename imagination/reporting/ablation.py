@@ -53,7 +53,7 @@ def of_multirun(sweep: Multirun) -> Content:
     ]
     properties = [("Swept", keys), ("Jobs", f"{len(sweep.jobs)}, {complete} complete"), *common]
     sections = [Section("Jobs", plain=(Plain("Swept values and state of each job", _rows(sweep)),))]
-    if sweep.swept:
+    if sweep.settings:
         sections.append(Section(
             "Ablation",
             f"Pooled IoU with {CONFIDENCE:.0%} intervals over scenes, and standard deviations over training seeds.",
@@ -101,12 +101,9 @@ def _differences(baseline: Setting, setting: Setting) -> pd.DataFrame:
                 {
                     **dict(zip(KEY, key, strict=True)),
                     "compared_with": baseline.name,
-                    "iou_pooled": found.value,
-                    "ci_low": found.low,
-                    "ci_high": found.high,
-                    "iou_seed_std": found.seed_std,
-                    "seeds": len(set(ours["seed"])),
-                    "scenes": ours["scene"].nunique(),
+                    **tables.difference_columns(found),
+                    "seeds": found.seeds,
+                    "scenes": found.scenes,
                 }
             )
     return pd.DataFrame(rows)
@@ -175,7 +172,7 @@ def _paired_layout(sweep: Multirun, columns: list[Column], approach: str, first:
             found = (
                 difference(ours, theirs, first.bootstrap, "iou") if _same_ground_truth(ours, theirs) else None
             )
-            cells.append(found and Cell(found, excludes_zero(found)))
+            cells.append(found and Cell(found.estimate, excludes_zero(found.estimate)))
         lines.append(Line(setting.name, cells))
     note = (
         f"{label(approach)}: paired differences from {baseline.name}; {_described_spread(sweep)}. Bold if the interval "
@@ -235,9 +232,10 @@ def _comparable(sweep: Multirun, at: Column) -> bool:
 
 
 def _same_ground_truth(ours: pd.DataFrame, theirs: pd.DataFrame) -> bool:
-    """Return whether two sets of trials have the same ground-truth pixels in each scene."""
+    """Return whether two sets of trials have common scenes, and the same ground-truth pixels in each of them."""
     pixels = [part.groupby("scene")[PIXELS[2]].max().to_dict() for part in (ours, theirs)]
-    return bool(pixels[0] == pixels[1])
+    common = pixels[0].keys() & pixels[1].keys()
+    return bool(common) and all(pixels[0][scene] == pixels[1][scene] for scene in common)
 
 
 def _drawings(sweep: Multirun, first: Results) -> Iterator[Drawing]:
@@ -261,7 +259,7 @@ def _drawings(sweep: Multirun, first: Results) -> Iterator[Drawing]:
             continue  # no job has both the category and the approach
         approach = f" ({label(shown[0])})" if len(keys) > 1 else ""
         yield Drawing(
-            f"ablation_{key}_{category}",
+            f"ablation_{key}__{category}",
             f"{category}{approach}: pooled IoU over {key}.",
             partial(draw_ablation, panels, key, "pooled IoU"),
             wide=len(panels) > 1,
@@ -300,11 +298,14 @@ def _lines(
 def best_setting(sweep: Multirun) -> tuple[Setting, float] | None:
     """Return the setting with the highest IoU on validation scenes and that IoU, the mean over categories.
 
-    The score is that of the ranking approach. None if a setting has no score or other ground truth than the others, or
-    all scores are equal.
+    The score is that of the ranking approach. None if a setting has no score, or other categories, cell widths or
+    ground truth than the others, or all scores are equal.
     """
     approach = ranked_by(_approaches(sweep))
-    if not all(_comparable(sweep, at) for at in _columns(sweep)):
+    columns = [set(setting.trials.groupby(["category", "cell_width"]).groups) for setting in sweep.settings]
+    if any(each != columns[0] for each in columns) or not all(
+        map(partial(_comparable, sweep), _columns(sweep))
+    ):
         return None
     scored = []
     for setting in sweep.settings:
@@ -318,8 +319,10 @@ def best_setting(sweep: Multirun) -> tuple[Setting, float] | None:
 
 def summary(sweep: Multirun) -> list[str]:
     """Return lines on the best setting of a sweep with its uncertainty in test scenes."""
-    if len(sweep.settings) < 2 or (found := best_setting(sweep)) is None:
+    if len(sweep.settings) < 2:
         return []
+    if (found := best_setting(sweep)) is None:
+        return ["No best setting: the scores on validation scenes are equal, missing or not comparable"]
     setting, score = found
     approach = ranked_by(_approaches(sweep))
     lines = [f"Best setting on validation scenes ({label(approach)}, IoU {score:.4f}): {setting.name}"]

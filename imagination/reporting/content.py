@@ -21,7 +21,7 @@ from imagination.reporting.paper_layout import Layout
 from imagination.reporting.style import MEANINGS, label
 from imagination.runs import sweep_jobs
 from imagination.runs.command_line import command_line
-from imagination.utils.tabular import Row
+from imagination.utils.tabular import Row, parse_csv
 
 PRIMARY_TABLES = ("mapping.csv", "mapping_seeds.csv", "paired.csv")
 """Files whose content other sections of the report show."""
@@ -89,6 +89,7 @@ class Content(NamedTuple):
 
 def of_run(results: Results) -> Content:
     """Return the content of a run's report."""
+    tables = mapping_report.table_files(results) if results.has_records else {}
     sections = [
         Section("Global maps", layouts=tuple(paper_layout.tables(results)), plain=tuple(_meanings(results))),
         Section(
@@ -106,17 +107,17 @@ def of_run(results: Results) -> Content:
             drawings=tuple(_scores(results)),
         ),
         Section("Training", drawings=tuple(_training(results))),
-        Section("More tables", plain=tuple(_further(results))),
+        Section("More tables", plain=tuple(_further(results, tables))),
     ]
     filled = [section for section in sections if section.layouts or section.drawings or section.plain]
     return Content(
         results.name,
         facts(results),
-        results.problems,
+        results.all_problems,
         filled,
         commands(results),
         as_yaml(results),
-        mapping_report.table_files(results) if results.has_records else {},
+        tables,
     )
 
 
@@ -125,7 +126,7 @@ def facts(results: Results) -> list[tuple[str, str]]:
     config, about, origin = results.config, results.about, results.provenance
     version = f"imagination {origin['version']}, commit {origin['commit'] or 'unknown'}" if origin else ""
     properties = {
-        "Folder": about.get("folder", str(results.folder.resolve())),
+        "Folder": str(results.folder.resolve()),
         "Categories": ", ".join(map(str, config.get("unit_categories") or [])),
         "Scenes": f"{results.source}, {len(results.scenes)} of the test split",
         "Resolution": f"{results.resolution:g} m per cell",
@@ -135,7 +136,7 @@ def facts(results: Results) -> list[tuple[str, str]]:
         "Version": version,
         "Processor": origin.get("processor", ""),
         "Precision": about.get("precision", ""),
-        "Evaluation took": f"{about['seconds']:.0f} s" if about else "",
+        "Evaluation took": f"{sum(part.about['seconds'] for part in results.parts):.0f} s" if about else "",
         "Sensor": about.get("sensor", ""),
     }
     return [(name, value) for name, value in properties.items() if value]
@@ -143,10 +144,9 @@ def facts(results: Results) -> list[tuple[str, str]]:
 
 def commands(results: Results) -> list[str]:
     """Return the commands that reproduce the run with the packages pinned in requirements.lock."""
-    reproduce, command = trainings(results), results.provenance.get("command", "")
-    if command and "imagination.train" not in command:
-        reproduce.append(command)
-    return [*reproduce, report_command(results.folder)]
+    evaluated = [part.provenance.get("command", "") for part in results.parts]
+    others = [command for command in evaluated if command and "imagination.train" not in command]
+    return [*trainings(results), *others, report_command(results.folder)]
 
 
 def report_command(folder: Path) -> str:
@@ -328,12 +328,19 @@ def _training(results: Results) -> Iterator[Drawing]:
         )
 
 
-def _further(results: Results) -> Iterator[Plain]:
-    """Yield the tables that no other section shows."""
+def _further(results: Results, tables: Mapping[str, str]) -> Iterator[Plain]:
+    """Yield the tables that no other section shows: those made from the records, and those of other writers.
+
+    Args:
+        results: results folder.
+        tables: contents of the tables made from the records by file name.
+    """
+    rows = {name: parse_csv(text) for name, text in tables.items() if name.endswith(".csv")}
     for path in sorted((results.folder / "tables").glob("*.csv")):
         # written by an earlier report
         from_report = path.name.startswith(("iou", "correct_pixels.", "paired_"))
-        if path.name not in PRIMARY_TABLES and not from_report:
-            rows = results.table(path.name)
-            if 0 < len(rows) <= MAX_ROWS:
-                yield Plain(TITLES.get(path.name, path.name), rows)
+        if path.name not in rows and not from_report:
+            rows[path.name] = results.table(path.name)
+    for name in sorted(rows.keys() - set(PRIMARY_TABLES)):
+        if 0 < len(rows[name]) <= MAX_ROWS:
+            yield Plain(TITLES.get(name, name), rows[name])

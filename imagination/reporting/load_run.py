@@ -1,8 +1,7 @@
 """Reader of a results folder: counts of every trial from its records, or recounted from the saved maps."""
 
-import logging
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -14,18 +13,17 @@ from jaxtyping import Int64
 
 from imagination.evaluation import record_files, saved_maps, single_views
 from imagination.evaluation.metrics import count
-from imagination.evaluation.record_files import PIXELS, Records
+from imagination.evaluation.record_files import PIXELS, OtherVersionError, Records
 from imagination.evaluation.saved_maps import SavedMaps
 from imagination.evaluation.single_views import SingleView
 from imagination.evaluation.threshold_selection import THRESHOLDS
 from imagination.evaluation.trials import Trial
 from imagination.reporting.saved_config import at, read_config
 from imagination.reporting.statistics import Bootstrap
+from imagination.runs.final_record import FINAL
 from imagination.runs.folder import CONFIG
 from imagination.utils.errors import UserError, first_of
 from imagination.utils.tabular import Row, read_csv
-
-log = logging.getLogger(__name__)
 
 Content = TypeVar("Content")
 
@@ -92,15 +90,27 @@ class Results:
     @property
     def bootstrap(self) -> Bootstrap:
         """Bootstrap over scenes with the settings of the evaluation."""
-        resamples = min(int(at(self.config, "evaluation.resamples") or 2000), MAX_RESAMPLES)
-        return Bootstrap(resamples, int(at(self.config, "evaluation.seed") or 0))
+        protocol = self.about.get("protocol") or at(self.config, "evaluation") or {}
+        resamples = min(int(protocol.get("resamples") or 2000), MAX_RESAMPLES)
+        return Bootstrap(resamples, int(protocol.get("seed") or 0))
 
     @cached_property
     def parts(self) -> list["Results"]:
-        """Evaluations of the training seeds, ordered by seed: this folder, or those in its folders seed_<n>/."""
-        folders = [path for path in self.folder.glob("seed_*") if (path / CONFIG).is_file()]
-        numbered = [path for path in folders if path.name.removeprefix("seed_").isdecimal()]
-        return [Results(path) for path in sorted(numbered, key=lambda path: int(path.name[5:]))] or [self]
+        """Evaluations of the training seeds, ordered by seed: this folder, or the folders seed_<n>/ of a study."""
+        seeds = self.config.get("seeds")
+        if not isinstance(seeds, list) or not seeds or not all(isinstance(seed, int) for seed in seeds):
+            return [self]
+        parts = []
+        for seed in sorted(seeds):
+            with self._reported(self.folder / f"seed_{seed}"):
+                parts.append(Results(self.folder / f"seed_{seed}"))
+        return parts or [self]
+
+    @property
+    def all_problems(self) -> list[str]:
+        """Problems of this folder and of the evaluations of its training seeds."""
+        others = [part for part in self.parts if part is not self]
+        return self.problems + [f"{part.folder.name}: {text}" for part in others for text in part.problems]
 
     @cached_property
     def records(self) -> Records | None:
@@ -134,20 +144,27 @@ class Results:
         """
         if self.parts != [self]:
             frames = [part.trials for part in self.parts]
-            self.problems += [f"{part.folder.name}: {text}" for part in self.parts for text in part.problems]
-            return pd.concat(frames, ignore_index=True)
+            return pd.concat([frame for frame in frames if len(frame)] or frames[:1], ignore_index=True)
         if self.records is not None:
             trials = self._of_split("test")
         else:
             trials = recount(self.maps)
-            reason = "the evaluation has not finished or has failed; run the same command again"
-            if len(trials):
-                reason = f"recounted from the saved maps of {self._evaluated_scenes()}"
             if not any(text.startswith(f"{record_files.FOLDER}/") for text in self.problems):
-                self.problems.append(f"{record_files.FOLDER}/{record_files.TRIALS} is missing: {reason}")
+                self.problems.append(f"{record_files.FOLDER}/ is incomplete: {self._reason(len(trials))}")
         self.problems += missing_trials(trials, self.config)
         trials.insert(0, "seed", self.seed)
         return trials
+
+    def _reason(self, counted: int) -> str:
+        """Explain missing records, with what to do."""
+        if counted:
+            return f"recounted from the saved maps of {self._evaluated_scenes()}"
+        if (self.folder / FINAL).is_file():
+            return (
+                "the run has no evaluation, or one of an earlier version; evaluate its checkpoint with "
+                "python -m imagination.evaluate ckpt=…"
+            )
+        return "the evaluation has not finished or has failed; run the same command again"
 
     @cached_property
     def known(self) -> pd.DataFrame:
@@ -171,6 +188,8 @@ class Results:
     @property
     def seed(self) -> int:
         """Training seed."""
+        if self.records is not None:
+            return int(self.records.about["seed"])
         value = self.config.get("seed", 0)
         return value if isinstance(value, int) and abs(value) < 2**63 else 0
 
@@ -267,16 +286,22 @@ class Results:
         self, read: Callable[[Path], Content], path: Path, argument: Path | None = None
     ) -> Content | None:
         """Return `read(argument)`, by default of `path`; None without the file or, after a report, if it is damaged."""
-        if not path.exists():
-            return None
+        if path.exists():
+            with self._reported(path):
+                return read(argument or path)
+        return None
+
+    @contextmanager
+    def _reported(self, path: Path) -> Iterator[None]:
+        """Report a damaged file in `problems`; a missing one is no problem."""
         try:
-            return read(argument or path)
+            yield
         except FileNotFoundError:
-            return None
+            pass
         except Exception as error:  # readers raise various exceptions on damaged files
             name = f"{path.relative_to(self.folder)}{'/' if path.is_dir() else ''}"
-            self.problems.append(f"{name} is damaged and left out ({error})")
-            return None
+            state = "of another version" if isinstance(error, OtherVersionError) else "damaged"
+            self.problems.append(f"{name} is {state} and left out ({error})")
 
 
 def read_view_counts(path: Path) -> dict[tuple[str, str, str], ConfusionCounts]:

@@ -218,14 +218,14 @@ def read_job(folder: Path, requested: dict[str, str], listed: tuple[str, ...] = 
     """
     state, problem = listed
     if state == "failed":
-        with suppress(UserError):  # no config, or a damaged one
+        with suppress(UserError, OSError):  # no config, or a damaged one
             return Job(folder.name, Results(folder), "failed", problem, requested)
         return Job(folder.name, None, "failed", problem, requested)
     if not folder.is_dir():
         return Job(folder.name, None, "missing", "no folder: it was never started, or was deleted", requested)
     try:
         results = Results(folder)
-    except UserError as error:
+    except (UserError, OSError) as error:
         return Job(folder.name, None, "failed", str(error).partition(";")[0], requested)
     if len(results.trials) and not results.problems:
         return Job(folder.name, results, "complete", "", requested)

@@ -9,7 +9,7 @@ from imagination.evaluation.metrics import CONFIDENCE
 from imagination.reporting import tables
 from imagination.reporting.load_run import Results
 from imagination.reporting.statistics import MIN_SCENES
-from imagination.utils.tabular import Row, markdown_code, to_csv, to_markdown
+from imagination.utils.tabular import Row, markdown_code, markdown_text, to_csv, to_markdown
 
 POSTPROCESSING = {
     "none": "",
@@ -66,7 +66,8 @@ def to_page(rows: Mapping[str, Sequence[Row]], results: Results) -> str:
         parts += [
             "## Paired differences",
             to_markdown(rows["paired"], list(rows["paired"][0])),
-            f"Differences of `iou_pooled`, with {CONFIDENCE:.0%} intervals over scenes (paired bootstrap).",
+            f"Differences of `iou_pooled`, with {CONFIDENCE:.0%} intervals over at least {MIN_SCENES} scenes (paired "
+            "bootstrap).",
         ]
     if rows["training"]:
         parts += [
@@ -90,7 +91,7 @@ def _averages(results: Results) -> str:
     """Explain the averages of the table and the scenes left out."""
     about, protocol = results.about, results.about["protocol"]
     left_out = "; ".join(
-        f"{category}: {count} of {count + about['scenes'].get(category, 0)}"
+        f"{markdown_text(category)}: {count} of {count + about['scenes'].get(category, 0)}"
         for category, count in about["left_out"].items()
     )
     views = about["viewpoints"]["viewpoints"] * protocol["orientations"]
@@ -124,26 +125,33 @@ def _provenance(details: Sequence[Row], results: Results, about: Mapping[str, An
         )
         for row in details
     )
-    thresholds = "; ".join(
-        f"{each['approach']} ({each['category']}) threshold {each['threshold']:.2f}"
+    seeds, origin = ", ".join(map(str, results.seeds)), results.provenance
+    seconds = sum(part.about["seconds"] for part in results.parts)
+    lines = [
+        f"Sensor, the same for all approaches: {markdown_text(about['sensor'])}.",
+        f"Registration: {markdown_text(rules)}; views in viewpoint order, then orientation. In a random order "
+        f"`iou_pooled` changes by {order_effect:.4f} at most. Viewpoints were moved "
+        f"{about['viewpoints']['moved']:.2f} m on average to free space.",
+        f"Selected on validation scenes by IoU pooled over all cell widths: {_thresholds(results)}.",
+        f"Seed of the training run {seeds}, of viewpoints, headings and bootstrap {about['protocol']['seed']}.",
+        f"{markdown_text(origin.get('processor', ''))}, networks in {markdown_text(about['precision'])}; evaluation "
+        f"took {seconds:.0f} s of wall time.",
+        f"{markdown_text(origin.get('date', ''))}, imagination {markdown_text(origin.get('version', ''))}, commit "
+        f"{markdown_text(origin.get('commit') or 'unknown')}.",
+        f"Folder: {markdown_code(str(results.folder.resolve()))}",
+        *(f"Command: {markdown_code(part.provenance.get('command', ''))}" for part in results.parts),
+    ]
+    return "\n".join(f"- {line}" for line in lines)
+
+
+def _thresholds(results: Results) -> str:
+    """Describe the selected thresholds and kernels of one training seed."""
+    if len(results.seeds) > 1:
+        return "mapping_details.csv lists threshold and kernel of each training seed"
+    about = results.about
+    return "; ".join(
+        markdown_text(f"{each['approach']} ({each['category']}) threshold {each['threshold']:.2f}")
         + POSTPROCESSING.get(about["approaches"][each["approach"]]["postprocess"], "").format(each["kernel"])
         for each in about["selected"]
         if each["approach"] in about["approaches"]
-    )
-    seeds, origin = ", ".join(map(str, results.seeds)), results.provenance
-    return "\n".join(
-        [
-            f"- Sensor, the same for all approaches: {about['sensor']}.",
-            f"- Registration: {rules}; views in viewpoint order, then orientation. In a random order `iou_pooled` "
-            f"changes by {order_effect:.4f} at most. Viewpoints were moved {about['viewpoints']['moved']:.2f} m on "
-            "average to free space.",
-            f"- Selected on validation scenes by IoU pooled over all cell widths: {thresholds}.",
-            f"- Seed of the training run {seeds}, of viewpoints, headings and bootstrap {about['protocol']['seed']}.",
-            f"- {origin.get('processor', '')}, networks in {about['precision']}; evaluation took "
-            f"{about['seconds']:.0f} s of wall time.",
-            f"- {origin.get('date', '')}, imagination {origin.get('version', '')}, commit "
-            f"{origin.get('commit') or 'unknown'}.",
-            f"- Folder: {markdown_code(about['folder'])}",
-            f"- Command: {markdown_code(origin.get('command', ''))}",
-        ]
     )

@@ -21,7 +21,11 @@ def write(stem: Path, content: Content) -> Path:
         if name.endswith(".csv"):
             write_text(stem / name, text)
     environment = html.environment()
-    environment.filters |= {"markdown": tabular.markdown_text, "code": tabular.markdown_code}
+    environment.filters |= {
+        "markdown": tabular.markdown_text,
+        "code": tabular.markdown_code,
+        "one_line": lambda text: " ".join(text.split()),
+    }
     text = environment.get_template("page.md.j2").render(
         content=content,
         stem=stem,

@@ -222,7 +222,7 @@ def _difference(results: Results, pair: tuple[str, str], columns: list[Column], 
     for at in columns:
         ours, theirs = (select(results.trials, name, at.category, at.cell_width) for name in pair)
         found = difference(ours, theirs, results.bootstrap, measure)
-        cells.append(found and Cell(found, excludes_zero(found)))
+        cells.append(found and Cell(found.estimate, excludes_zero(found.estimate)))
     return Line(" − ".join(map(label, pair)), cells)
 
 
@@ -250,7 +250,11 @@ def to_csv(layout: Layout) -> str:
 def to_markdown(layout: Layout) -> str:
     """Return the table as Markdown with title and note; each interval follows its value."""
     heads = ["", *(f"{markdown_text(at.category)}, {at.cell_width:g} m" for at in layout.columns)]
-    lines = [f"**{layout.title}.** {layout.note}", "", *map(markdown_row, (heads, ["---"] * len(heads)))]
+    lines = [
+        f"**{layout.title}.** {markdown_text(layout.note)}",
+        "",
+        *map(markdown_row, (heads, ["---"] * len(heads))),
+    ]
     for block, rows in layout.blocks:
         if len(layout.blocks) > 1:
             lines.append(markdown_row([f"*{markdown_text(block)}*", *[""] * len(layout.columns)]))

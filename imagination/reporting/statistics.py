@@ -17,10 +17,13 @@ from imagination.evaluation.metrics import interval, iou, resample
 from imagination.evaluation.record_files import PIXELS
 
 MIN_SCENES = 5
-"""Minimum number of scenes for an interval; fewer scenes tell nothing about others."""
+"""Minimum number of scenes for an interval over scenes."""
 
 KEY = ["approach", "category", "cell_width"]
 """Columns that identify a row of the results table."""
+
+TRIAL = ["cell_width", "scene", "viewpoint_set"]
+"""Columns that identify a trial of a row of the results table and a training seed."""
 
 Counts = Int64[np.ndarray, "seeds scenes 3"]
 """Correct, false-positive and ground-truth pixels, summed over the viewpoint sets of each scene."""
@@ -74,31 +77,58 @@ def select(trials: pd.DataFrame, approach: str, category: str, cell_width: float
     return trials[np.logical_and.reduce([trials[name] == value for name, value in columns])]
 
 
-def counts_of(trials: pd.DataFrame, suffix: str = "") -> Counts:
-    """Sum the counts of trials over viewpoint sets and cell widths; scenes that a seed lacks are left out.
+def of_all_seeds(trials: pd.DataFrame) -> pd.DataFrame:
+    """Return the trials of one row of the results table that every training seed has."""
+    seeds = trials["seed"].nunique()
+    if seeds == 1:
+        return trials
+    found = trials.groupby(TRIAL, sort=False)["seed"].transform("nunique")
+    return trials[found == seeds]
+
+
+def counts_of(trials: pd.DataFrame, suffix: str = "", scenes: Sequence[str] | None = None) -> Counts:
+    """Sum the counts of trials over viewpoint sets and cell widths; trials that a seed lacks are left out.
 
     Args:
         trials: trials of one approach and category.
         suffix: suffix of the columns; see `record_files`.
+        scenes: names of the scenes in their order; by default that of the trials.
     """
+    trials = of_all_seeds(trials)
     values = trials[[f"{name}{suffix}" for name in PIXELS]].to_numpy(np.int64)
     seeds, seed = np.unique(trials["seed"].to_numpy(), return_inverse=True)
-    scene, scenes = pd.factorize(trials["scene"])
+    scenes = list(trials["scene"].unique()) if scenes is None else scenes
+    places = {name: place for place, name in enumerate(scenes)}
     counts = np.zeros((len(seeds), len(scenes), 3), np.int64)
+    scene = np.array([places[name] for name in trials["scene"]], np.intp)
     np.add.at(counts, (seed, scene), values)
-    present = np.zeros(counts.shape[:2], np.bool_)
-    present[seed, scene] = True
-    return counts[:, present.all(axis=0)]
+    return counts
 
 
 def estimate(counts: Counts, bootstrap: Bootstrap, measure: str = "iou") -> Estimate:
-    """Estimate a metric pooled over scenes."""
+    """Estimate a metric pooled over scenes; NaN without any."""
+    if not counts.size:
+        return Estimate(math.nan)
     return _estimate(_values(counts, measure), _samples(counts, bootstrap, measure))
+
+
+class Difference(NamedTuple):
+    """Paired difference of two groups of trials.
+
+    Attributes:
+        estimate: difference of the metric.
+        seeds: number of training seeds that both have; 0 if only the means over seeds are compared.
+        scenes: number of scenes that both have.
+    """
+
+    estimate: Estimate
+    seeds: int
+    scenes: int
 
 
 def difference(
     ours: pd.DataFrame, theirs: pd.DataFrame, bootstrap: Bootstrap, measure: str
-) -> Estimate | None:
+) -> Difference | None:
     """Estimate the paired difference of a metric over the trials and seeds that both have; None without any.
 
     If no training has the same seed in both, only the means over seeds are compared.
@@ -106,26 +136,27 @@ def difference(
     paired = set(ours["seed"]) & set(theirs["seed"])
     if paired:
         ours, theirs = (part[part["seed"].isin(paired)] for part in (ours, theirs))
-    ours, theirs = common_trials(ours, theirs)
+    ours, theirs = common_trials(of_all_seeds(ours), of_all_seeds(theirs))
     if ours.empty:
         return None
-    first, second = counts_of(ours), counts_of(theirs)
+    scenes = list(ours["scene"].unique())
+    first, second = counts_of(ours, scenes=scenes), counts_of(theirs, scenes=scenes)
     samples = _samples(first, bootstrap, measure), _samples(second, bootstrap, measure)
     values = _values(first, measure), _values(second, measure)
-    return _estimate(
+    found = _estimate(
         values[0] - values[1] if paired else np.array([values[0].mean() - values[1].mean()]),
         None if samples[0] is None or samples[1] is None else samples[0] - samples[1],
     )
+    return Difference(found, len(paired), len(scenes))
 
 
 def common_trials(ours: pd.DataFrame, theirs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the trials that both have, of all training seeds."""
-    columns = ["cell_width", "scene", "viewpoint_set"]
-    trials = [list(part[columns].itertuples(index=False, name=None)) for part in (ours, theirs)]
+    """Return the trials of which both have results, for all their training seeds."""
+    trials = [list(part[TRIAL].itertuples(index=False, name=None)) for part in (ours, theirs)]
     if trials[0] == trials[1]:
         return ours, theirs
     common = set(trials[0]) & set(trials[1])
-    kept = [[trial in common for trial in each] for each in trials]
+    kept = [np.array([trial in common for trial in each], np.bool_) for each in trials]
     return ours[kept[0]], theirs[kept[1]]
 
 

@@ -47,6 +47,7 @@ def write(folder: Path) -> Path:
     title = "Sweep" if len(sweep.settings) == 1 else f"Sweep, {label(approach)}"
     columns = SCREEN_MAPPING if len(sweep.settings) == 1 else SCREEN_SWEEP
     Console().print(to_screen(shown, title, [*swept, *columns]))
-    for line in ablation.summary(sweep):
+    content = ablation.of_multirun(sweep)
+    for line in [*(f"incomplete: {problem}" for problem in content.problems), *ablation.summary(sweep)]:
         print(line, file=sys.stderr)
-    return html.write(folder, ablation.of_multirun(sweep))
+    return html.write(folder, content)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pandas as pd
 from rich.table import Table
+from rich.text import Text
 
 from imagination.evaluation.approaches import REFERENCE
 from imagination.evaluation.metrics import iou
@@ -14,10 +15,12 @@ from imagination.evaluation.record_files import PIXELS
 from imagination.reporting.statistics import (
     KEY,
     Bootstrap,
+    Difference,
     counts_of,
     difference,
     estimate,
     groups,
+    of_all_seeds,
     select,
 )
 from imagination.utils.tabular import Row
@@ -50,13 +53,15 @@ SCREEN_PAIRED = (
 def mapping(trials: pd.DataFrame, bootstrap: Bootstrap) -> pd.DataFrame:
     """Return one row for each approach, category and cell width; counts are means over seeds."""
     rows = []
-    for key, group in groups(trials):
+    for key, all_trials in groups(trials):
+        group = of_all_seeds(all_trials)
         counts = counts_of(group)
         value, low, high, seed_std = estimate(counts, bootstrap)
         each = iou(group[list(PIXELS)].to_numpy())
-        seeds = len(counts)
+        seeds = all_trials["seed"].nunique()
         pixels = [_whole(total / seeds) for total in counts.sum(axis=(0, 1)).tolist()]
-        rows.append((*key, len(group) // seeds, seeds, value, each.mean(), low, high, seed_std, *pixels))
+        mean = float(each.mean()) if len(each) else math.nan
+        rows.append((*key, len(group) // seeds, seeds, value, mean, low, high, seed_std, *pixels))
     return pd.DataFrame(rows, columns=list(MAPPING))
 
 
@@ -120,20 +125,24 @@ def paired(trials: pd.DataFrame, bootstrap: Bootstrap) -> pd.DataFrame:
         if (found := difference(ours, theirs, bootstrap, "iou")) is None:
             continue
         pixels = difference(ours, theirs, bootstrap, "correct_pixels")
+        assert pixels is not None  # of the same trials
         rows.append(
             {
                 "category": category,
                 "cell_width": width,
                 "difference": f"{first} - {second}",
-                "iou_pooled": found.value,
-                "ci_low": found.low,
-                "ci_high": found.high,
-                "iou_seed_std": found.seed_std,
-                "correct_pixels": _whole(pixels.value if pixels else math.nan),
-                "scenes": ours["scene"].nunique(),
+                **difference_columns(found),
+                "correct_pixels": _whole(pixels.estimate.value),
+                "scenes": found.scenes,
             }
         )
     return pd.DataFrame(rows)
+
+
+def difference_columns(found: Difference) -> dict[str, float]:
+    """Return the columns of a paired difference of IoU."""
+    names = ("iou_pooled", "ci_low", "ci_high", "iou_seed_std")
+    return dict(zip(names, found.estimate, strict=True))
 
 
 def furniture(unseen: pd.DataFrame, known: pd.DataFrame, bootstrap: Bootstrap) -> pd.DataFrame:
@@ -205,7 +214,7 @@ def to_screen(rows: Sequence[Row], title: str, columns: Sequence[str]) -> Table:
         left = column in ("approach", "category", "difference")
         wrap = column == "difference"  # contains two long names
         heading = re.sub(r"_|(?<=\.)", "\n", column)
-        table.add_column(heading, justify="left" if left else "right", no_wrap=not wrap)
+        table.add_column(Text(heading), justify="left" if left else "right", no_wrap=not wrap)
     for row in rows:
-        table.add_row(*(row[column] for column in shown))
+        table.add_row(*(Text(row[column]) for column in shown))  # Text shows brackets as they are
     return table

@@ -6,6 +6,7 @@ import shlex
 import subprocess
 import sys
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple
@@ -43,8 +44,12 @@ def package_version() -> str:
         return ""
 
 
+@cache
 def git_commit(folder: Path = Path(__file__).parents[2]) -> str:
-    """Return the commit of a checkout, with "-dirty" if tracked files were changed; empty without git or a checkout."""
+    """Return the commit of a checkout, with "-dirty" if tracked files were changed; empty without git or a checkout.
+
+    It is read once, as the code of a process is: call it before a training, during which files may be edited.
+    """
     if not (folder / ".git").exists():  # git would look for a checkout in the parent folders
         return ""
     command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--exclude=*", "--abbrev=40"]
@@ -58,7 +63,10 @@ def git_commit(folder: Path = Path(__file__).parents[2]) -> str:
 def command_line() -> str:
     """Return the command that this process was started with, quoted for a shell; a console script as its module."""
     name = Path(sys.argv[0]).stem.removeprefix("imagination-").replace("-", "_")
-    return shlex.join(["python", "-m", f"imagination.{name}", *sys.argv[1:]])
+    if not (Path(__file__).parents[1] / f"{name}.py").is_file():
+        return shlex.join(["python", *sys.argv])  # a script of the user
+    module = "imagination" if name == "__main__" else f"imagination.{name}"
+    return shlex.join(["python", "-m", module, *sys.argv[1:]])
 
 
 def hardware() -> str:

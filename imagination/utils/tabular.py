@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import re
 import stat
 from collections.abc import Hashable, Iterable, Sequence
@@ -87,11 +88,20 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         ValueError: if a row is shorter or longer than the header.
     """
     with open(path, newline="") as file:
-        rows = list(csv.DictReader(file, strict=True))
+        return parse_csv(file.read())
+
+
+def parse_csv(text: str) -> list[dict[str, str]]:
+    """Return the rows of a table as `csv_text` formats it.
+
+    Raises:
+        ValueError: if a row is shorter or longer than the header.
+    """
+    rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
     for number, row in enumerate(rows, 2):
         if None in row or None in row.values():
             raise ValueError(f"line {number} does not fit the header")
-    return [{name: value.removeprefix("'") for name, value in row.items()} for row in rows]
+    return [{name.removeprefix("'"): value.removeprefix("'") for name, value in row.items()} for row in rows]
 
 
 Row = dict[str, str]
@@ -120,12 +130,11 @@ def _csv_cell(cell: object) -> object:
 
 
 def is_number(text: str) -> bool:
-    """Return whether text is a number."""
+    """Return whether text is a finite number."""
     try:
-        float(text)
+        return math.isfinite(float(text))
     except ValueError:
         return False
-    return True
 
 
 def to_csv(rows: Sequence[Row]) -> str:
@@ -143,13 +152,19 @@ def to_markdown(rows: Sequence[Row], columns: Sequence[str]) -> str:
     return "\n".join(map(markdown_row, [heads, ["---"] * len(columns), *cells]))
 
 
-MARKDOWN = {letter: f"\\{letter}" for letter in "\\`*[]|"} | {"<": "&lt;", "&": "&amp;", "\n": " ", "\r": " "}
-"""Replacements of characters that Markdown would not show as text; an underscore in a word is text."""
+MARKDOWN = {letter: f"\\{letter}" for letter in "\\`*[]|~"} | {
+    "<": "&lt;",
+    "&": "&amp;",
+    "\n": " ",
+    "\r": " ",
+}
+"""Replacements of characters that Markdown would not show as text."""
 
 
 def markdown_text(text: str) -> str:
-    """Escape text for Markdown, tables included."""
-    return "".join(MARKDOWN.get(letter, letter) for letter in text)
+    """Escape text for Markdown, tables included; an underscore within a word is text."""
+    escaped = "".join(MARKDOWN.get(letter, letter) for letter in text)
+    return re.sub(r"(?<!\w)_|_(?!\w)", r"\\_", escaped)
 
 
 def markdown_code(text: str) -> str:

@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 from imagination.config.user_messages import explain
 from imagination.runs.command import run_command
 from imagination.runs.composed_config import END
-from imagination.runs.final_record import FINAL, write_final_record
+from imagination.runs.final_record import FINAL, read_final_record, write_final_record
 from imagination.runs.finished_trainings import (
     is_evaluation_only,
     train_or_reuse,
@@ -17,9 +17,11 @@ from imagination.runs.finished_trainings import (
     training_key,
 )
 from imagination.runs.folder import COMPOSED
-from imagination.study import check_evaluation
+from imagination.study import check_evaluation, check_seeds, combine, evaluate_seed
 from imagination.utils.errors import UserError
+from imagination.utils.tabular import read_csv
 from tests.conftest import Command
+from tests.helpers.run_folders import make_folder
 
 OVERRIDES = ["scale=test"]
 DONE = FINAL, "checkpoints/last.ckpt"
@@ -204,6 +206,57 @@ def test_settings_of_the_segmentation_network_retrain_no_unit() -> None:
     assert key("chair_unet") == key("chair_unet", *hrnet)
     keys = {key("segmentation_hrnet", change) for change in hrnet} | {key("segmentation_hrnet")}
     assert len(keys) == len(hrnet) + 1 > 5
+
+
+@pytest.mark.parametrize(
+    ("seeds", "overrides", "message"),
+    [
+        ([], [], "seeds: got []"),
+        ([1, 1], [], "seeds: got [1, 1]"),
+        ([0, "one"], [], "seeds: got [0, 'one']"),
+        ([-1], [], "seeds: got [-1]"),
+        (3, [], "seeds: got 3"),
+        ([0, 1], ["seed=3"], "seed: got seed=3 and seeds=[0, 1]"),
+    ],
+)
+def test_invalid_seeds_are_refused(seeds: object, overrides: list[str], message: str) -> None:
+    with pytest.raises(UserError) as caught:
+        check_seeds(OmegaConf.create({"seeds": seeds}).seeds, overrides)
+    assert message in str(caught.value)
+
+
+def test_each_seed_is_trained_and_evaluated_and_all_are_combined(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[tuple[str, ...]] = []
+
+    def train(experiment: str, overrides: list[str], outputs: Path) -> Path:
+        calls.append((experiment, *overrides))
+        return outputs / f"{experiment}.ckpt"
+
+    def evaluate(name: str, arguments: list[str]) -> None:
+        calls.append((name, *arguments))
+        folder = Path(arguments[-1].removeprefix("hydra.run.dir="))
+        assert not (folder / FINAL).exists()  # a finished evaluation is repeated, from the cache
+        make_folder(folder, seed=int(folder.name.removeprefix("seed_")))
+
+    monkeypatch.setattr("imagination.study.train_or_reuse", train)
+    monkeypatch.setattr("imagination.study.run_command", evaluate)
+    config = OmegaConf.create({"experiments": ["chair_unet"], "paths": {"outputs": str(tmp_path)}})
+    study = tmp_path / "study"
+    (study / "seed_3").mkdir(parents=True)
+    write_final_record(study / "seed_3")
+    for seed in (0, 3):
+        evaluate_seed(config, seed, ["scale=test"], ["study=paper"], study)
+    assert calls[:2] == [
+        ("chair_unet", "scale=test", "seed=0"),
+        ("evaluate", f'ckpt=["{tmp_path}/chair_unet.ckpt"]', "study=paper", f"hydra.run.dir={study}/seed_0"),
+    ]
+    assert calls[2][-1] == "seed=3" and calls[3][-1].endswith("seed_3")
+    combine(study, [0, 3])
+    rows = read_csv(study / "tables" / "mapping.csv")
+    assert {row["seeds"] for row in rows} == {"2"} and all(row["iou_seed_std"] for row in rows)
+    assert read_final_record(study) is not None
 
 
 def test_a_failure_ends_the_study_with_its_code() -> None:

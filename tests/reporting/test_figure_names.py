@@ -20,3 +20,9 @@ def test_usual_names_stay() -> None:
     assert safe_names(stems) == dict(zip(stems, stems, strict=True))
     assert safe_names(["a/b", "a_b"])["a/b"] != "a_b"
     assert safe_names(["maps_Chair", "maps_chair"])["maps_Chair"] == "maps_Chair"
+
+
+def test_a_name_with_a_hash_of_another_is_changed() -> None:
+    hashed = safe_names(["a b"])["a b"]
+    names = safe_names([hashed, "a b"])
+    assert len(set(names.values())) == 2

@@ -94,7 +94,7 @@ def test_six_jobs_differ_only_in_the_swept_keys(sweep: Path) -> None:
     )  # type: ignore[union-attr]
     stems = [drawing.stem for section in content.sections for drawing in section.drawings]
     keys = "kernels.imaginable", "model.alpha_max"
-    assert stems == [f"ablation_{key}_{of}" for key in keys for of in ("chair", "bed")]
+    assert stems == [f"ablation_{key}__{of}" for key in keys for of in ("chair", "bed")]
 
 
 def validated(sweep: Path, number: int, iou: float) -> None:
@@ -225,7 +225,9 @@ def test_jobs_without_a_common_category_are_drawn(tmp_path: Path) -> None:
         left = ",bed," if experiment == "chair_unet" else "imagination,"
         only_lines(folder, lambda line, left=left: left not in line)  # type: ignore[misc]
     drawn = [drawing for section in read(tmp_path).sections for drawing in section.drawings]
-    assert [drawing.stem for drawing in drawn] == ["ablation_experiment_chair", "ablation_experiment_bed"]
+    assert [drawing.stem for drawing in drawn] == ["ablation_experiment__chair", "ablation_experiment__bed"]
+    (line,) = ablation.summary(Multirun(tmp_path))
+    assert "No best setting" in line  # the settings have other categories
     for drawing in drawn:
         drawing.draw()
 
@@ -250,7 +252,7 @@ def test_jobs_that_differ_in_the_seed_are_one_setting(seeds: Path) -> None:
     table, paired = content.sections[1].layouts
     assert [line.name for line in table.blocks[0][1]] == ["model.alpha_max=10", "model.alpha_max=30"]
     assert [drawing.stem for drawing in content.sections[1].drawings] == [
-        f"ablation_model.alpha_max_{category}" for category in ("chair", "bed")
+        f"ablation_model.alpha_max__{category}" for category in ("chair", "bed")
     ]
     values = []
     for number in range(6):

@@ -170,7 +170,7 @@ def test_the_report_from_the_records_alone_equals_that_of_the_run(written: Path,
     assert names == {
         "mapping.csv", "mapping_seeds.csv", "mapping_details.csv", "paired.csv", "training.csv", "mapping.md",
     }  # fmt: skip
-    assert {path.name for path in (written / "figures").iterdir()} == {"iou.png", "maps_chair.png"}
+    assert {path.name for path in (written / "figures").iterdir()} == {"iou.png", "first_scene_chair.png"}
     before = {
         path: path.read_bytes() for name in ("tables", "figures") for path in (written / name).iterdir()
     }
@@ -178,7 +178,7 @@ def test_the_report_from_the_records_alone_equals_that_of_the_run(written: Path,
         shutil.rmtree(written / name)
     write_results(written)
     assert {path: path.read_bytes() for path in before} == before
-    assert cv2.imread(str(written / "figures" / "maps_chair.png")).std() > 0
+    assert cv2.imread(str(written / "figures" / "first_scene_chair.png")).std() > 0
     assert {
         name: text.encode() for name, text in read(written).tables.items()
     } == {path.name: content for path, content in before.items() if path.parent.name == "tables"}  # fmt: skip
@@ -190,7 +190,9 @@ def test_several_seeds_are_combined(report: Report, tmp_path: Path) -> None:
     more = {key: counts + [1, 0, 0] for key, counts in report.counts.items()}
     first = write_folder(study / "seed_0", report, seed=0)
     write_folder(study / "seed_7", report._replace(counts=more, seen=more, shuffled=more), seed=7)
-    shutil.copy(first / "config.yaml", study / "config.yaml")
+    config = yaml.safe_load((first / "config.yaml").read_text())
+    (study / "config.yaml").write_text(yaml.safe_dump({**config, "seeds": [0, 7]}))
+    write_folder(study / "seed_9", report, seed=9)  # of an earlier study
     write_results(study)
     write_results(first)
     single = rows_of(first, "mapping")

@@ -18,6 +18,7 @@ from imagination.reporting.statistics import (
     difference,
     estimate,
 )
+from imagination.reporting.tables import mapping
 
 BOOTSTRAP = Bootstrap(300, 1)
 
@@ -69,13 +70,24 @@ def test_differences_are_paired_by_seed_and_scene(order: list[int], drawn: int) 
     """The order of the seeds changes nothing, and a job minus itself has no spread."""
     trials = make_trials([4, 7, 9], 6, drawn)
     shuffled = pd.concat([trials[trials["seed"] == seed] for seed in order])
+    shuffled = shuffled.sort_values("scene", ascending=False, kind="stable")
     same = difference(trials, shuffled, BOOTSTRAP, "iou")
-    assert same is not None
-    assert (same.value, same.low, same.high, same.seed_std) == (0.0, 0.0, 0.0, 0.0)
+    assert same is not None and tuple(same.estimate) == (0.0, 0.0, 0.0, 0.0)
     better = shuffled.assign(correct_pixels=shuffled["correct_pixels"] + 5)
     found = difference(better, trials, BOOTSTRAP, "correct_pixels")
-    assert found is not None
-    assert tuple(found) == pytest.approx((60.0, 60.0, 60.0, 0.0))
+    assert found is not None and (found.seeds, found.scenes) == (3, 6)
+    assert tuple(found.estimate) == pytest.approx((60.0, 60.0, 60.0, 0.0))
+
+
+def test_a_group_with_holes_equals_itself() -> None:
+    """One seed lacks a scene, another a viewpoint set; both are left out on both sides."""
+    trials = make_trials([4, 7, 9], 8, 0)
+    holes = (trials["seed"] == 7) & (trials["scene"] == "s1")
+    holes |= (trials["seed"] == 9) & (trials["scene"] == "s3") & (trials["viewpoint_set"] == 1)
+    for one, other in ((trials, trials[~holes]), (trials[~holes], trials)):
+        found = difference(one, other, BOOTSTRAP, "iou")
+        assert found is not None and found.scenes == 7
+        assert tuple(found.estimate) == (0.0, 0.0, 0.0, 0.0)
 
 
 def test_differences_use_the_trials_and_seeds_of_both() -> None:
@@ -87,17 +99,18 @@ def test_differences_use_the_trials_and_seeds_of_both() -> None:
         [pooled_iou(each[list(PIXELS)].to_numpy()[None]) for _, each in part.groupby("seed")]
         for part in common
     ]
-    assert found is not None
-    assert found.value == pytest.approx(np.mean(values[0]) - np.mean(values[1]))
-    assert found.seed_std == pytest.approx(np.std(np.subtract(*values), ddof=1))
+    assert found is not None and (found.seeds, found.scenes) == (2, 7)
+    assert found.estimate.value == pytest.approx(np.mean(values[0]) - np.mean(values[1]))
+    assert found.estimate.seed_std == pytest.approx(np.std(np.subtract(*values), ddof=1))
 
 
 def test_without_a_common_seed_the_means_are_compared() -> None:
     ours, theirs = make_trials([0, 1], 6, 5), make_trials([2, 3], 6, 6)
     found = difference(ours, theirs, BOOTSTRAP, "iou")
-    assert found is not None and math.isnan(found.seed_std) and math.isfinite(found.low)
+    assert found is not None and found.seeds == 0
+    assert math.isnan(found.estimate.seed_std) and math.isfinite(found.estimate.low)
     values = [estimate(counts_of(part), BOOTSTRAP).value for part in (ours, theirs)]
-    assert found.value == pytest.approx(values[0] - values[1])
+    assert found.estimate.value == pytest.approx(values[0] - values[1])
     assert difference(ours, theirs.assign(scene="other"), BOOTSTRAP, "iou") is None
 
 
@@ -106,6 +119,14 @@ def test_a_scene_that_a_seed_lacks_is_left_out() -> None:
     trials = trials[(trials["seed"] == 0) | (trials["scene"] != "s2")]
     assert counts_of(trials).shape == (2, 5, 3)
     assert counts_of(trials)[0, :, 2].tolist() == [2 * (60 + scene) for scene in (0, 1, 3, 4, 5)]
+
+
+def test_no_common_trial_has_no_value() -> None:
+    trials = make_trials([0, 1], 2, 8)
+    trials = trials[(trials["seed"] == 0) == (trials["scene"] == "s0")]
+    assert math.isnan(estimate(counts_of(trials), BOOTSTRAP).value)
+    row = mapping(trials, BOOTSTRAP).iloc[0]
+    assert math.isnan(row["iou_pooled"]) and math.isnan(row["iou_mean"]) and row["trials"] == 0
 
 
 def test_one_value_has_no_deviation() -> None:

@@ -15,6 +15,9 @@ def git(folder: Path, *words: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
+commit_of = provenance.git_commit.__wrapped__  # reads it again
+
+
 def test_the_commit_is_marked_if_files_were_changed(tmp_path: Path) -> None:
     git(tmp_path, "init", "-q")
     (tmp_path / "file").write_text("1")
@@ -22,9 +25,9 @@ def test_the_commit_is_marked_if_files_were_changed(tmp_path: Path) -> None:
     git(tmp_path, "commit", "-qm", "first")
     git(tmp_path, "tag", "v1")
     commit = git(tmp_path, "rev-parse", "HEAD")
-    assert provenance.git_commit(tmp_path) == commit
+    assert commit_of(tmp_path) == commit
     (tmp_path / "file").write_text("2")
-    assert provenance.git_commit(tmp_path) == f"{commit}-dirty"
+    assert commit_of(tmp_path) == f"{commit}-dirty"
 
 
 def test_there_is_no_commit_outside_a_checkout_or_without_git(
@@ -32,9 +35,9 @@ def test_there_is_no_commit_outside_a_checkout_or_without_git(
 ) -> None:
     git(tmp_path, "init", "-q")
     (tmp_path / "installed").mkdir()
-    assert provenance.git_commit(tmp_path / "installed") == ""  # the checkout of another project
+    assert commit_of(tmp_path / "installed") == ""  # the checkout of another project
     monkeypatch.setenv("PATH", "")
-    assert provenance.git_commit(tmp_path) == ""
+    assert commit_of(tmp_path) == ""
 
 
 def test_the_provenance_of_this_process() -> None:

@@ -17,9 +17,10 @@ def safe_names(stems: Iterable[str]) -> dict[str, str]:
     names: dict[str, str] = {}
     lowered: set[str] = set()
     for stem in dict.fromkeys(stems):
-        name = re.sub(r"[^\w.+-]", "_", stem)[:MAX_LENGTH]
-        if name != stem or name.lower() in lowered:
-            name = f"{name[: MAX_LENGTH - 9]}_{hashlib.sha256(stem.encode()).hexdigest()[:8]}"
+        name, hashed = re.sub(r"[^\w.+-]", "_", stem)[:MAX_LENGTH], stem
+        while name != stem and hashed == stem or name.lower() in lowered:
+            hashed = hashlib.sha256(hashed.encode()).hexdigest()
+            name = f"{name[: MAX_LENGTH - 9]}_{hashed[:8]}"
         names[stem] = name
         lowered.add(name.lower())
     return names

@@ -15,18 +15,18 @@ from imagination.utils.tabular import Row
 
 
 def write_figures(folder: Path, results: Results, rows: Sequence[Row]) -> None:
-    """Write maps_<category>.png and iou.png into `folder`, each atomically.
+    """Write first_scene_<category>.png and iou.png into `folder`, each atomically.
 
     Args:
         folder: folder of the figures.
         results: results with saved maps.
         rows: rows of mapping.csv.
     """
-    names = safe_names([f"maps_{category}" for category in results.categories])
+    names = safe_names([f"first_scene_{category}" for category in results.categories])
     with style.theme("light"):
         for category in results.categories:
             if examples := list(examples_of(results, category)):
-                save(draw_maps(examples), folder / f"{names[f'maps_{category}']}.png")
+                save(draw_maps(examples), folder / f"{names[f'first_scene_{category}']}.png")
         save(draw_iou(rows), folder / "iou.png")
 
 
