@@ -5,6 +5,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import is_dataclass
 from functools import cached_property
+from types import FunctionType
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -210,9 +211,10 @@ def _settings(part: nn.Module) -> Any:
 
 
 def _is_setting(value: Any) -> bool:
-    """Return whether an attribute is a value, not another object such as the factory of an optimiser."""
+    """Return whether an attribute is a value or of a plugin, not another object such as the factory of an optimiser."""
     kinds = (bool, int, float, str, list, tuple, Mapping, np.ndarray, Tensor)
-    return isinstance(value, kinds) or is_dataclass(value)
+    defined = value if isinstance(value, (type, FunctionType)) else type(value)
+    return isinstance(value, kinds) or is_dataclass(value) or is_plugin(defined.__module__ or "builtins")
 
 
 def _tensors(part: nn.Module) -> Iterator[tuple[str, Tensor]]:

@@ -46,6 +46,8 @@ def of_multirun(sweep: Multirun) -> Content:
         for job in sweep.jobs
         if job.state != "complete"
     ]
+    if len({str(results_of(job).config.get("program")) for job in sweep.evaluated}) > 1:
+        problems.append("the jobs were trained by different code, so their results cannot be compared")
     keys = ", ".join(sweep.swept) or "nothing"
     complete = sum(job.state == "complete" for job in sweep.jobs)
     common = [

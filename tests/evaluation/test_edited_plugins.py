@@ -174,8 +174,9 @@ def test_numbers_follow_an_edit_and_an_unedited_plugin_hits_the_cache(
 
 
 def test_an_edit_of_a_unit_changes_the_fingerprint_of_its_predictions(plugin: Path, tmp_path: Path) -> None:
-    """Settings that are attributes count as well, in any part of the network."""
-    write(plugin, **UNIT)
+    """Settings that are attributes count as well, in any part of the network, and objects of the plugin."""
+    gain = "class Gain:\n    def __init__(self, factor):\n        self.factor = factor\n"
+    write(plugin, **UNIT, gain=gain)
     with new_process(tmp_path) as imported:
         make = imported("edited_plugin.unit").MyUnit
         ego = EgoGrid.of_extent(3.7, 0.1)
@@ -186,6 +187,9 @@ def test_an_edit_of_a_unit_changes_the_fingerprint_of_its_predictions(plugin: Pa
             task = LitUnit(unit, WeightedBCE(10.0, 10.0), ego, 0.5, lambda _: None, lambda _: None)  # type: ignore[arg-type, return-value]
             return Predictor([task], ["chair"], list(NAMES), 8).fingerprint
 
+        gains = [imported("edited_plugin.gain").Gain(factor) for factor in (2, 2, 3)]
+        first, same, other = (fingerprint(1.0, gain=gain) for gain in gains)
+        assert first == same != other
         assert fingerprint(1.0) == fingerprint(1.0)
         assert (
             len({fingerprint(1.0), fingerprint(2.0), fingerprint(1.0, _gain=2), fingerprint(1.0, _gain=3)})
