@@ -1,9 +1,9 @@
 """Fixtures and settings of all tests: checks of array shapes, one thread per process, commands as subprocesses."""
 
-import copy
 import functools
 import importlib
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -27,9 +27,9 @@ ROOT = Path(__file__).resolve().parents[1]
 _compose = hydra.compose
 
 
-@functools.lru_cache(maxsize=200)
-def _composed(config_name: str, overrides: tuple[str, ...], search_path: str) -> DictConfig:
-    return _compose(config_name, list(overrides))
+@functools.lru_cache(maxsize=500)
+def _composed(config_name: str, overrides: tuple[str, ...], search_path: str) -> bytes:
+    return pickle.dumps(_compose(config_name, list(overrides)))  # bytes cost the garbage collector nothing
 
 
 def compose_once(config_name: str, overrides: Sequence[str] = (), **options: Any) -> DictConfig:
@@ -39,7 +39,8 @@ def compose_once(config_name: str, overrides: Sequence[str] = (), **options: Any
     changing = any(path.startswith("/") and not Path(path).is_relative_to(ROOT) for path in search_path)
     if changing or options:  # files of a test's own plugin may change
         return _compose(config_name, list(overrides), **options)
-    return copy.deepcopy(_composed(config_name, tuple(overrides), "\n".join(search_path)))
+    composed: DictConfig = pickle.loads(_composed(config_name, tuple(overrides), "\n".join(search_path)))
+    return composed
 
 
 hydra.compose = compose_once

@@ -43,4 +43,4 @@ def test_there_is_no_commit_outside_a_checkout_or_without_git(
 def test_the_provenance_of_this_process() -> None:
     found = provenance.current_provenance()
     assert datetime.fromisoformat(found.date).tzinfo is not None
-    assert "cores" in found.processor and found.command.startswith("python -m imagination.")
+    assert "cores" in found.processor and found.command.startswith("python ")
