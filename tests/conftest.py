@@ -99,13 +99,19 @@ def example_plugin(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session")
-def unit_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Export a small untrained unit for chairs to ONNX."""
+def unit_file(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """Export a small untrained unit for chairs to ONNX, once for all processes of the tests."""
     from imagination.deployment.export import export
     from imagination.runs.checkpoint import Checkpoint  # imports torch, which few tests need
+    from imagination.utils.file_lock import locked_file
     from tests.helpers.checkpoints import make_checkpoint, samples
 
-    folder = tmp_path_factory.mktemp("unit")
-    checkpoint = Checkpoint.read(make_checkpoint(folder / "chair.ckpt", threshold=0.55))
-    export([checkpoint], folder / "chair.onnx", "onnx", "float32", samples(1))
+    base = tmp_path_factory.getbasetemp()
+    shared = base if worker_id == "master" else base.parent
+    folder = shared / "unit"
+    with locked_file(shared / ".unit.lock"):
+        if not (folder / "chair.onnx").is_file():
+            folder.mkdir(exist_ok=True)
+            checkpoint = Checkpoint.read(make_checkpoint(folder / "chair.ckpt", threshold=0.55))
+            export([checkpoint], folder / "chair.onnx", "onnx", "float32", samples(1))
     return folder / "chair.onnx"

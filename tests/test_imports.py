@@ -88,6 +88,7 @@ def test_help_imports_no_torch_and_no_plugin(name: str, example_plugin: Path, tm
     assert {path.name for path in tmp_path.iterdir()} == {"plugins"}
 
 
+@pytest.mark.slow
 def test_the_list_of_plugins_imports_no_torch_and_no_plugin(example_plugin: Path, tmp_path: Path) -> None:
     modules = imported_by(tmp_path, "imagination.plugins")
     assert "imagination.config.plugin_registry" in modules

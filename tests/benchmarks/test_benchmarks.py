@@ -80,6 +80,7 @@ def test_figures_of_another_machine_are_kept_if_none_is_measured(tmp_path: Path)
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", gpu.EXPERIMENTS.values())
 @pytest.mark.parametrize("kind", gpu.KINDS)
 def test_the_steps_of_the_gpu_section_train(tmp_path: Path, experiment: str, kind: str) -> None:

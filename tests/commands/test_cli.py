@@ -194,6 +194,7 @@ def test_ctrl_c_while_scenes_are_built(tmp_path: Path, name: str) -> None:
     assert seconds < 5, f"took {seconds:.1f} s"
 
 
+@pytest.mark.slow
 def test_a_terminated_run_reports_how_to_resume(tmp_path: Path) -> None:
     long = ["trainer.max_epochs=10000", "trainer.check_val_every_n_epoch=10000"]
     arguments = ["+experiment=chair_unet", "scale=test", *long]

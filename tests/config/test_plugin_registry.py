@@ -120,6 +120,7 @@ def test_a_broken_plugin_fails_only_if_it_is_used(command: Command, tmp_path: Pa
     assert "broken (folder" in done.stderr and "model: got 'mine'" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_example_adds_scenes_a_unit_and_a_callback(
     command: Command, example_plugin: Path, tmp_path: Path
 ) -> None:

@@ -83,7 +83,7 @@ def test_tta_hflip_is_the_mean_over_both_flips(variant: str) -> None:
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize(("window", "cells"), [(0.0, 1), (0.2, 3), (0.36, 3), (0.5, 5)])
+@pytest.mark.parametrize(("window", "cells"), [(0.0, 1), (0.5, 5)])
 def test_postprocess_dilation_equals_opencv(variant: str, window: float, cells: int) -> None:
     raw, postprocessed = (
         build(

@@ -175,6 +175,7 @@ def test_a_checkpoint_of_another_model_is_refused(tmp_path: Path) -> None:
         Checkpoint.read(path).model()
 
 
+@pytest.mark.slow
 def test_a_resumed_run_keeps_its_config(
     command: Command, command_in_process: Command, tmp_path: Path
 ) -> None:

@@ -30,6 +30,7 @@ def slow(observer: Observer, scene: str, started: Path) -> None:
     time.sleep(600)
 
 
+@pytest.mark.slow
 def test_warnings_of_workers_reach_the_logs_of_the_main_process(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
