@@ -31,16 +31,6 @@ def iou(counts: Int64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n"]:
     return result
 
 
-def pooled_iou(counts: Int64[np.ndarray, "scenes sets 3"]) -> float:
-    """Return the IoU of the summed counts of all trials, in which large scenes have more weight."""
-    return float(iou(counts.sum(axis=(0, 1))))
-
-
-def mean_iou(counts: Int64[np.ndarray, "scenes sets 3"]) -> float:
-    """Return the mean IoU over trials, in which every trial has the same weight."""
-    return float(iou(counts).mean())
-
-
 def resample(scenes: int, resamples: int, seed: int) -> Int64[np.ndarray, "resamples scenes"]:
     """Draw bootstrap resamples of scenes with replacement; return how often each resample contains each scene.
 
@@ -48,13 +38,6 @@ def resample(scenes: int, resamples: int, seed: int) -> Int64[np.ndarray, "resam
     """
     rng = np.random.default_rng(seed)
     return rng.multinomial(scenes, np.full(scenes, 1 / scenes), size=resamples)
-
-
-def bootstrap_iou(
-    counts: Int64[np.ndarray, "scenes sets 3"], draws: Int64[np.ndarray, "resamples scenes"]
-) -> Float64[np.ndarray, " resamples"]:
-    """Return the pooled IoU of each resample; the trials of a scene stay together, as they share its furniture."""
-    return iou(draws @ counts.sum(axis=1))
 
 
 def interval(samples: Float64[np.ndarray, " resamples"]) -> Interval:

@@ -18,7 +18,7 @@ be in a file name are replaced (see `file_name`). A file holds
     occupied    bool [h, w]         occupancy map M_occu
     poses       float [n, 3]        x, y, heading of the views in the order of registration
     resolution  float               metres per cell
-    origin      float [2]           world position of the lower-left corner of cell [h - 1, 0] (docs/conventions.md)
+    origin      float [2]           world position of the lower-left corner of cell [h - 1, 0] (see conventions.md)
 
 The predicted map is exactly `level >= threshold[..., None, None]`: candidate thresholds are whole hundredths, and
 `level` counts those that the score reaches. `level / 100` is the score, rounded down. Read a file with `load`, or with

@@ -8,9 +8,13 @@ from itertools import product
 import pandas as pd
 
 from imagination.evaluation.metrics import CONFIDENCE
-from imagination.evaluation.record_files import PIXELS
 from imagination.evaluation.single_views import ranked_by
 from imagination.reporting import tables
+from imagination.reporting.best_setting import (
+    comparable,
+    enough_scenes,
+    same_ground_truth,
+)
 from imagination.reporting.content import (
     Content,
     Drawing,
@@ -24,13 +28,11 @@ from imagination.reporting.content import (
 from imagination.reporting.figures.scores import Point, draw_ablation
 from imagination.reporting.load_run import Results
 from imagination.reporting.load_sweep import GROUPED, Multirun, Setting, results_of
-from imagination.reporting.paper_layout import Cell, Column, Layout, Line, excludes_zero
+from imagination.reporting.paper_layout import Cell, Column, Layout, Line, cell_of, difference_cell
 from imagination.reporting.statistics import (
     KEY,
     MIN_SCENES,
-    counts_of,
     difference,
-    estimate,
     groups,
     select,
 )
@@ -98,12 +100,12 @@ def _differences(baseline: Setting, setting: Setting) -> pd.DataFrame:
     theirs, bootstrap = baseline.trials, results_of(baseline.jobs[0]).bootstrap
     for key, ours in groups(setting.trials):
         found = difference(ours, select(theirs, *key), bootstrap, "iou")
-        if found is not None and _same_ground_truth(ours, select(theirs, *key)):
+        if found is not None and same_ground_truth(ours, select(theirs, *key)):
             rows.append(
                 {
                     **dict(zip(KEY, key, strict=True)),
                     "compared_with": baseline.name,
-                    **tables.difference_columns(found),
+                    **tables.differencecolumns_of(found),
                     "seeds": found.seeds,
                     "scenes": found.scenes,
                 }
@@ -119,26 +121,15 @@ def _rows(sweep: Multirun) -> list[Row]:
     ]
 
 
-def _columns(sweep: Multirun) -> list[Column]:
-    """Return the cell widths and categories of all settings."""
-    trials = pd.concat([setting.trials for setting in sweep.settings])
-    widths = sorted(trials["cell_width"].unique().tolist(), reverse=True)
-    return [Column(width, category) for width in widths for category in trials["category"].unique()]
-
-
-def _approaches(sweep: Multirun) -> list[str]:
-    return list(dict.fromkeys(name for setting in sweep.settings for name in setting.trials["approach"]))
-
-
 def _layouts(sweep: Multirun, first: Results) -> Iterator[Layout]:
     """Yield the table of all settings, and that of their differences from the first one.
 
     With one setting, as in a sweep over seeds or cell widths, the lines of the table are the approaches.
     """
-    columns, approaches = _columns(sweep), _approaches(sweep)
+    columns, approaches = sweep.columns, sweep.approaches
     lines = {
         name: [
-            Line(setting.name, [_cell(setting, name, at, first) for at in columns])
+            Line(setting.name, [cell_of(setting.trials, first.bootstrap, name, at) for at in columns])
             for setting in sweep.settings
         ]
         for name in approaches
@@ -153,7 +144,7 @@ def _layouts(sweep: Multirun, first: Results) -> Iterator[Layout]:
         " In each block and category the setting with the highest IoU on validation scenes is bold; test scenes select "
         "nothing."
     )
-    if not all(_comparable(sweep, at) for at in columns):
+    if not all(comparable(sweep, at) for at in columns):
         note += " The jobs have different ground truth, so their IoU cannot be compared."
     yield Layout("ablation", "IoU of the global map by swept value", note, columns, blocks, ".3f")
     yield from _paired_layout(sweep, columns, ranked_by(approaches), first)
@@ -162,7 +153,7 @@ def _layouts(sweep: Multirun, first: Results) -> Iterator[Layout]:
 def _paired_layout(sweep: Multirun, columns: list[Column], approach: str, first: Results) -> Iterator[Layout]:
     """Yield the table of the differences of each setting from the first one, unless no ground truth is the same."""
     baseline = sweep.settings[0]
-    if not any(_comparable(sweep, at) for at in columns):
+    if not any(comparable(sweep, at) for at in columns):
         return
     lines = []
     for setting in sweep.settings[1:]:
@@ -171,10 +162,8 @@ def _paired_layout(sweep: Multirun, columns: list[Column], approach: str, first:
             ours, theirs = (
                 select(each.trials, approach, at.category, at.cell_width) for each in (setting, baseline)
             )
-            found = (
-                difference(ours, theirs, first.bootstrap, "iou") if _same_ground_truth(ours, theirs) else None
-            )
-            cells.append(found and Cell(found.estimate, excludes_zero(found.estimate)))
+            same = same_ground_truth(ours, theirs)
+            cells.append(difference_cell(ours, theirs, first.bootstrap) if same else None)
         lines.append(Line(setting.name, cells))
     note = (
         f"{label(approach)}: paired differences from {baseline.name}; {_described_spread(sweep)}. Bold if the interval "
@@ -191,12 +180,6 @@ def _described_spread(sweep: Multirun) -> str:
     return f"{seeds}intervals over scenes in brackets, if there are at least {MIN_SCENES}"
 
 
-def _cell(setting: Setting, approach: str, at: Column, first: Results) -> Cell | None:
-    """Return the pooled IoU of a setting in a column; None without trials."""
-    trials = select(setting.trials, approach, at.category, at.cell_width)
-    return None if trials.empty else Cell(estimate(counts_of(trials), first.bootstrap))
-
-
 def _mark_best_validated(
     sweep: Multirun, approach: str, columns: Sequence[Column], lines: Sequence[Line]
 ) -> list[Line]:
@@ -207,37 +190,11 @@ def _mark_best_validated(
         values = {
             row: value for row, value in enumerate(scores) if value is not None and lines[row].cells[place]
         }
-        if _comparable(sweep, at) and _enough(sweep, at) and len(set(values.values())) > 1:
+        if comparable(sweep, at) and enough_scenes(sweep, at) and len(set(values.values())) > 1:
             for row, value in values.items():
                 if value == max(values.values()) and (cell := lines[row].cells[place]):
                     marked[row][place] = cell._replace(strong=True)
     return [line._replace(cells=cells) for line, cells in zip(lines, marked, strict=True)]
-
-
-def _enough(sweep: Multirun, at: Column) -> bool:
-    """Return whether the category of a column is in enough scenes of every setting to name a best one."""
-    scenes = [
-        setting.trials[setting.trials["category"] == at.category]["scene"].nunique()
-        for setting in sweep.settings
-    ]
-    return min(scenes) >= MIN_SCENES
-
-
-def _comparable(sweep: Multirun, at: Column) -> bool:
-    """Return whether all settings have the same ground truth in a column."""
-    parts = [
-        trials[(trials["category"] == at.category) & (trials["cell_width"] == at.cell_width)]
-        for trials in (setting.trials for setting in sweep.settings)
-    ]
-    filled = [part for part in parts if len(part)]
-    return all(_same_ground_truth(filled[0], part) for part in filled[1:])
-
-
-def _same_ground_truth(ours: pd.DataFrame, theirs: pd.DataFrame) -> bool:
-    """Return whether two sets of trials have common scenes, and the same ground-truth pixels in each of them."""
-    pixels = [part.groupby("scene")[PIXELS[2]].max().to_dict() for part in (ours, theirs)]
-    common = pixels[0].keys() & pixels[1].keys()
-    return bool(common) and all(pixels[0][scene] == pixels[1][scene] for scene in common)
 
 
 def _drawings(sweep: Multirun, first: Results) -> Iterator[Drawing]:
@@ -249,12 +206,12 @@ def _drawings(sweep: Multirun, first: Results) -> Iterator[Drawing]:
     keys = [key for key in sweep.swept if key not in GROUPED]
     if not keys:
         yield from _curves(sweep, first)
-    approaches = _approaches(sweep)
+    approaches = sweep.approaches
     shown = [ranked_by(approaches)] if len(keys) > 1 else approaches
-    for key, category in product(keys, dict.fromkeys(at.category for at in _columns(sweep))):
+    for key, category in product(keys, dict.fromkeys(at.category for at in sweep.columns)):
         panels = {
             f"cell width {width:g} m": lines
-            for width in sorted({at.cell_width for at in _columns(sweep)}, reverse=True)
+            for width in sorted({at.cell_width for at in sweep.columns}, reverse=True)
             if (lines := _lines(sweep, key, Column(width, category), shown, first))
         }
         if not panels:
@@ -270,10 +227,10 @@ def _drawings(sweep: Multirun, first: Results) -> Iterator[Drawing]:
 
 def _curves(sweep: Multirun, first: Results) -> Iterator[Drawing]:
     """Yield the figure of IoU over cell width of a sweep with one setting: a panel for each category."""
-    columns, (setting,) = _columns(sweep), sweep.settings
+    columns, (setting,) = sweep.columns, sweep.settings
     panels: dict[str, dict[str, list[Point]]] = {}
-    for at, approach in product(columns, _approaches(sweep)):
-        if (cell := _cell(setting, approach, at, first)) is not None:
+    for at, approach in product(columns, sweep.approaches):
+        if (cell := cell_of(setting.trials, first.bootstrap, approach, at)) is not None:
             point = f"{at.cell_width:g}", cell.estimate
             panels.setdefault(at.category, {}).setdefault(approach, []).append(point)
     if len({at.cell_width for at in columns}) > 1:
@@ -292,49 +249,8 @@ def _lines(
     lines: dict[str, list[Point]] = {}
     for setting, approach in product(sweep.settings, approaches):
         others = _assignments({name: value for name, value in setting.values.items() if name != key})
-        if (cell := _cell(setting, approach, at, first)) is not None:
+        if (cell := cell_of(setting.trials, first.bootstrap, approach, at)) is not None:
             lines.setdefault(others or approach, []).append((setting.values[key], cell.estimate))
-    return lines
-
-
-def best_setting(sweep: Multirun) -> tuple[Setting, float] | None:
-    """Return the setting with the highest IoU on validation scenes and that IoU, the mean over categories.
-
-    The score is that of the ranking approach. None if a setting has no score, or other categories, cell widths or
-    ground truth than the others, or all scores are equal.
-    """
-    approach = ranked_by(_approaches(sweep))
-    columns = [set(setting.trials.groupby(["category", "cell_width"]).groups) for setting in sweep.settings]
-    if any(each != columns[0] for each in columns) or not all(
-        map(partial(_comparable, sweep), _columns(sweep))
-    ):
-        return None
-    scored = []
-    for setting in sweep.settings:
-        scores = [setting.validated(approach, category) for category in setting.trials["category"].unique()]
-        if None in scores:
-            return None
-        scored.append((setting, sum(score for score in scores if score is not None) / len(scores)))
-    several = len({score for _, score in scored}) > 1
-    return max(scored, key=lambda pair: pair[1]) if several else None
-
-
-def summary(sweep: Multirun) -> list[str]:
-    """Return lines on the best setting of a sweep with its uncertainty in test scenes."""
-    if len(sweep.settings) < 2:
-        return []
-    if (found := best_setting(sweep)) is None:
-        return ["No best setting: the scores on validation scenes are equal, missing or not comparable"]
-    setting, score = found
-    approach = ranked_by(_approaches(sweep))
-    lines = [f"Best setting on validation scenes ({label(approach)}, IoU {score:.4f}): {setting.name}"]
-    for row in tables.text(tables.mapping(setting.trials, results_of(setting.jobs[0]).bootstrap)):
-        if row["approach"] == approach:
-            std = f" ± {row['iou_seed_std']} over {row['seeds']} seeds" if row["iou_seed_std"] else ""
-            span = f" [{row['iou_ci_low']}, {row['iou_ci_high']}] over scenes" if row["iou_ci_low"] else ""
-            lines.append(
-                f"  {row['category']}, cell width {row['cell_width']} m: test IoU {row['iou_pooled']}{std}{span}"
-            )
     return lines
 
 

@@ -10,13 +10,15 @@ import yaml
 from matplotlib.figure import Figure
 
 from imagination.config.overrides import assignment
+from imagination.evaluation.read_records import ConfusionCounts
 from imagination.evaluation.single_views import CELLS, FILE, MIN_LABEL, ranked_by
 from imagination.reporting import mapping_report, paper_layout, training_curves
 from imagination.reporting.figures import maps
 from imagination.reporting.figures.curves import draw_curves
 from imagination.reporting.figures.scores import draw_distribution, draw_precision_recall, draw_reliability
 from imagination.reporting.figures.views import draw_single_views
-from imagination.reporting.load_run import ConfusionCounts, Results, missing_maps
+from imagination.reporting.incomplete_run import missing_maps
+from imagination.reporting.load_run import Results
 from imagination.reporting.paper_layout import Layout
 from imagination.reporting.style import MEANINGS, label
 from imagination.runs import sweep_jobs

@@ -1,23 +1,20 @@
 """Reader of a results folder: counts of every trial from its records, or recounted from the saved maps."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cached_property
-from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Int64
 
-from imagination.evaluation import record_files, saved_maps, single_views
-from imagination.evaluation.metrics import count
-from imagination.evaluation.record_files import PIXELS, OtherVersionError, Records
+from imagination.evaluation import read_records, saved_maps, single_views
+from imagination.evaluation.read_records import ConfusionCounts, OtherVersionError, Records
+from imagination.evaluation.record_files import FOLDER, TRIAL_KEY
 from imagination.evaluation.saved_maps import SavedMaps
 from imagination.evaluation.single_views import SingleView
-from imagination.evaluation.threshold_selection import THRESHOLDS
-from imagination.evaluation.trials import Trial
+from imagination.reporting.incomplete_run import missing_trials, recount
 from imagination.reporting.saved_config import at, read_config
 from imagination.reporting.statistics import Bootstrap
 from imagination.runs.final_record import FINAL
@@ -32,12 +29,6 @@ MAX_RESAMPLES = 100_000
 
 MAX_NAMED = 60
 """Maximum number of missing scenes that a message names: as many as a study at the paper's scale evaluates."""
-
-TRIAL = ["approach", "category", "cell_width", "scene", "viewpoint_set"]
-"""Columns that identify a trial of one training seed."""
-
-ConfusionCounts = Int64[np.ndarray, "t 3"]
-"""Correct, false-positive and ground-truth cells at the thresholds .01, .02, … .99."""
 
 
 class Results:
@@ -107,6 +98,11 @@ class Results:
         return parts or [self]
 
     @property
+    def has_seed_folders(self) -> bool:
+        """Whether this is the folder of a study with several training seeds."""
+        return self.parts != [self]
+
+    @property
     def all_problems(self) -> list[str]:
         """Problems of this folder and of the evaluations of its training seeds."""
         others = [part for part in self.parts if part is not self]
@@ -115,7 +111,7 @@ class Results:
     @cached_property
     def records(self) -> Records | None:
         """Records of one evaluation; None if they are missing, damaged or of another version."""
-        return self._read(record_files.read, self.folder / record_files.FOLDER, self.folder)
+        return self._read(read_records.read, self.folder / FOLDER, self.folder)
 
     @property
     def has_records(self) -> bool:
@@ -130,10 +126,7 @@ class Results:
         """
         for part in self.parts:
             if part.records is None:
-                reason = (
-                    "; ".join(part.problems)
-                    or f"{part.folder / record_files.FOLDER}/ is missing or incomplete"
-                )
+                reason = "; ".join(part.problems) or f"{part.folder / FOLDER}/ is missing or incomplete"
                 raise UserError(f"folder: got {self.folder}, expected the records of an evaluation; {reason}")
 
     @cached_property
@@ -142,15 +135,15 @@ class Results:
 
         Missing trials are reported in `problems`.
         """
-        if self.parts != [self]:
+        if self.has_seed_folders:
             frames = [part.trials for part in self.parts]
             return pd.concat([frame for frame in frames if len(frame)] or frames[:1], ignore_index=True)
         if self.records is not None:
             trials = self._of_split("test")
         else:
             trials = recount(self.maps)
-            if not any(text.startswith(f"{record_files.FOLDER}/") for text in self.problems):
-                self.problems.append(f"{record_files.FOLDER}/ is incomplete: {self._reason(len(trials))}")
+            if not any(text.startswith(f"{FOLDER}/") for text in self.problems):
+                self.problems.append(f"{FOLDER}/ is incomplete: {self._reason(len(trials))}")
         self.problems += missing_trials(trials, self.config)
         trials.insert(0, "seed", self.seed)
         return trials
@@ -172,7 +165,7 @@ class Results:
         frames = [part._of_split("known") for part in self.parts if part.records is not None]
         seeds = [part.seed for part in self.parts if part.records is not None]
         known = [frame.assign(seed=seed) for frame, seed in zip(frames, seeds, strict=True)]
-        return pd.concat(known, ignore_index=True) if known else pd.DataFrame(columns=["seed", *TRIAL])
+        return pd.concat(known, ignore_index=True) if known else pd.DataFrame(columns=["seed", *TRIAL_KEY])
 
     def _of_split(self, split: str) -> pd.DataFrame:
         assert self.records is not None
@@ -201,7 +194,7 @@ class Results:
     @cached_property
     def maps(self) -> list[SavedMaps]:
         """Saved maps of all trials, ordered by scene, cell width (widest first) and viewpoint set."""
-        if self.parts != [self]:
+        if self.has_seed_folders:
             return self.parts[0].maps
         paths = sorted((self.folder / saved_maps.FOLDER).glob("*.npz"))
         loaded = [maps for path in paths if (maps := self._read(saved_maps.load, path)) is not None]
@@ -210,16 +203,16 @@ class Results:
     @cached_property
     def single_views(self) -> tuple[list[SingleView], float]:
         """Single views for the figures, and the metres per cell."""
-        if self.parts != [self]:
+        if self.has_seed_folders:
             return self.parts[0].single_views
         return self._read(single_views.load, self.folder / single_views.FILE) or ([], self.resolution)
 
     @cached_property
     def view_counts(self) -> dict[tuple[str, str, str], ConfusionCounts]:
         """Counts of single views at every threshold by approach (or "network"), subset of cells and category."""
-        if self.parts != [self]:
+        if self.has_seed_folders:
             return self.parts[0].view_counts
-        return self._read(read_view_counts, self.folder / record_files.FOLDER / single_views.TABLE) or {}
+        return self._read(read_records.read_view_counts, self.folder / FOLDER / single_views.TABLE) or {}
 
     @property
     def validated(self) -> dict[tuple[str, str], float]:
@@ -242,7 +235,7 @@ class Results:
     @cached_property
     def trained(self) -> list["Results"]:
         """Runs that trained the networks: this run, or the existing runs of an evaluation's checkpoints."""
-        if self.parts != [self]:
+        if self.has_seed_folders:
             return [run for part in self.parts for run in part.trained]
         checkpoints = self.config.get("ckpt")
         if checkpoints is None:
@@ -277,7 +270,7 @@ class Results:
     def _evaluated_scenes(self) -> str:
         """Describe the scenes with saved maps for a message: their number and the names of the missing scenes."""
         evaluated = {saved.trial.scene for saved in self.maps}
-        expected = self._read(lambda _: record_files.read_scenes(self.folder), self.folder) or []
+        expected = self._read(lambda _: read_records.read_scenes(self.folder), self.folder) or []
         if not (missing := [scene for scene in expected if scene not in evaluated]):
             return f"{len(evaluated)} scenes"
         return f"{len(evaluated)} of {len(expected)} scenes; missing: {first_of(missing, MAX_NAMED)}"
@@ -302,79 +295,3 @@ class Results:
             name = f"{path.relative_to(self.folder)}{'/' if path.is_dir() else ''}"
             state = "of another version" if isinstance(error, OtherVersionError) else "damaged"
             self.problems.append(f"{name} is {state} and left out ({error})")
-
-
-def read_view_counts(path: Path) -> dict[tuple[str, str, str], ConfusionCounts]:
-    """Read the counts in a thresholds.csv.
-
-    Raises:
-        ValueError: if a value is not a valid count, or a threshold is missing.
-    """
-    counts: dict[tuple[str, str, str], list[list[int]]] = {}
-    for row in read_csv(path):
-        correct, false, gt = cells = [
-            int(row[name]) for name in ("correct_cells", "false_positives", "gt_cells")
-        ]
-        if not (0 <= correct <= gt <= record_files.MAX_PIXELS and 0 <= false <= record_files.MAX_PIXELS):
-            raise ValueError(f"got {correct} correct, {false} false-positive and {gt} ground-truth cells")
-        counts.setdefault((row["approach"], row["cells"], row["category"]), []).append(cells)
-    if any(len(rows) != len(THRESHOLDS) for rows in counts.values()):
-        raise ValueError(
-            f"expected {len(THRESHOLDS)} thresholds for each approach, category and subset of cells"
-        )
-    return {key: np.array(rows, np.int64) for key, rows in counts.items()}
-
-
-def recount(maps: Sequence[SavedMaps]) -> pd.DataFrame:
-    """Return the counts of every trial over whole maps and seen cells, computed from its saved maps."""
-    rows = []
-    columns = [*TRIAL, *PIXELS, *(f"{name}_seen" for name in PIXELS)]
-    for saved in maps:
-        predicted = saved.predicted
-        for (index, approach), (layer, category) in product(
-            enumerate(saved.approaches), enumerate(saved.categories)
-        ):
-            if saved.present[layer]:
-                pixels = count(predicted[index, layer], saved.truth[layer])
-                seen = count(predicted[index, layer] & saved.seen, saved.truth[layer] & saved.seen)
-                scene, width, number = saved.trial
-                rows.append((approach, category, width, scene, number, *pixels.tolist(), *seen.tolist()))
-    return pd.DataFrame(rows, columns=columns)
-
-
-def missing_trials(trials: pd.DataFrame, config: Mapping[str, Any]) -> list[str]:
-    """Return one message for each approach, category and cell width of the config that has missing trials."""
-    if trials.empty:
-        return []  # reported already
-    sets = range(int(at(config, "evaluation.viewpoint_sets") or 0))
-    found = set(trials[TRIAL].itertuples(index=False, name=None))
-    messages = []
-    for category in config.get("unit_categories") or []:
-        scenes = trials[trials["category"] == category]["scene"].unique()
-        if not len(scenes):
-            messages.append(f"{category}: no trial of any approach")
-        places = product(at(config, "evaluation.cell_widths") or [], trials["approach"].unique())
-        for width, approach in places:
-            expected = product(scenes, sets)
-            if missing := [
-                trial for trial in expected if (approach, category, float(width), *trial) not in found
-            ]:
-                names = ", ".join(f"{scene} set {number}" for scene, number in missing[:3])
-                messages.append(
-                    f"{approach}, {category}, cell width {float(width):g} m: {len(missing)} of "
-                    f"{len(scenes) * len(sets)} trials missing ({names}{', …' if len(missing) > 3 else ''})"
-                )
-    return messages
-
-
-def missing_maps(trials: pd.DataFrame, maps: Sequence[SavedMaps]) -> list[str]:
-    """Return a message on counted trials without saved maps, or an empty list if there are none."""
-    saved = {each.trial for each in maps}
-    places = trials[["scene", "cell_width", "viewpoint_set"]].drop_duplicates()
-    counted = [Trial(*place) for place in places.itertuples(index=False, name=None)]
-    missing = [trial for trial in counted if trial not in saved]
-    if not missing:
-        return []
-    names = ", ".join(f"{trial.scene} {trial.cell_width:g} m set {trial.number}" for trial in missing[:3])
-    more = ", …" if len(missing) > 3 else ""
-    return [f"maps/: the maps of {len(missing)} of {len(counted)} trials are missing ({names}{more})"]

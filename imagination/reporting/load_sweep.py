@@ -17,7 +17,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from imagination.config.key_roles import RESULT_ROLES, role
 from imagination.config.overrides import leaves
-from imagination.reporting.load_run import TRIAL, Results
+from imagination.evaluation.record_files import TRIAL_KEY
+from imagination.reporting.load_run import Results
+from imagination.reporting.paper_layout import Column
 from imagination.runs import sweep_jobs
 from imagination.utils.errors import UserError
 from imagination.utils.tabular import read_csv, read_yaml
@@ -69,7 +71,7 @@ class Setting:
     def trials(self) -> pd.DataFrame:
         """Counts of every trial of all jobs; see `Results.trials`."""
         trials = pd.concat([results_of(job).trials for job in self.jobs], ignore_index=True)
-        return trials.drop_duplicates(["seed", *TRIAL], ignore_index=True)
+        return trials.drop_duplicates(["seed", *TRIAL_KEY], ignore_index=True)
 
     def validated(self, approach: str, category: str) -> float | None:
         """Return the pooled IoU on validation scenes, mean over jobs; None if a job does not have it."""
@@ -132,6 +134,18 @@ class Multirun:
             values = {key: value for key, value in self.values(job).items() if key not in GROUPED}
             grouped.setdefault(tuple(values.values()), Setting(values, [])).jobs.append(job)
         return list(grouped.values())
+
+    @property
+    def approaches(self) -> list[str]:
+        """Names of the evaluated approaches of all settings."""
+        return list(dict.fromkeys(name for setting in self.settings for name in setting.trials["approach"]))
+
+    @property
+    def columns(self) -> list[Column]:
+        """Cell widths and categories of all settings, widest first."""
+        trials = pd.concat([setting.trials for setting in self.settings])
+        widths = sorted(trials["cell_width"].unique().tolist(), reverse=True)
+        return [Column(width, category) for width in widths for category in trials["category"].unique()]
 
     @cached_property
     def swept(self) -> dict[str, dict[str, str]]:

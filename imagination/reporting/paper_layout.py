@@ -4,12 +4,15 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import pandas as pd
+
 from imagination.evaluation.approaches import CONTROLS
 from imagination.evaluation.metrics import CONFIDENCE, iou
 from imagination.reporting import paper_numbers
 from imagination.reporting.load_run import Results
 from imagination.reporting.statistics import (
     MIN_SCENES,
+    Bootstrap,
     Estimate,
     counts_of,
     difference,
@@ -155,7 +158,7 @@ def _with_paper(
 ) -> list[tuple[str, list[Line]]]:
     """Return the lines of our results and those that the paper published."""
     ours = [
-        Line(label(name), [cell_of(results, name, at, measure) for at in columns])
+        Line(label(name), [cell_of(results.trials, results.bootstrap, name, at, measure) for at in columns])
         for name in results.approaches
     ]
     names = [name for name in results.approaches if any((name, *at) in published for at in columns)]
@@ -173,10 +176,20 @@ def _published(value: float | None) -> Cell | None:
     return None if value is None else Cell(Estimate(value))
 
 
-def cell_of(results: Results, approach: str, at: Column, measure: str) -> Cell | None:
-    """Return the metric over the trials of a row and column; None without trials."""
-    trials = select(results.trials, approach, at.category, at.cell_width)
-    return None if trials.empty else Cell(estimate(counts_of(trials), results.bootstrap, measure))
+def cell_of(
+    trials: pd.DataFrame, bootstrap: Bootstrap, approach: str, at: Column, measure: str = "iou"
+) -> Cell | None:
+    """Return the metric over the trials of an approach in a column; None without trials."""
+    trials = select(trials, approach, at.category, at.cell_width)
+    return None if trials.empty else Cell(estimate(counts_of(trials), bootstrap, measure))
+
+
+def difference_cell(
+    ours: pd.DataFrame, theirs: pd.DataFrame, bootstrap: Bootstrap, measure: str = "iou"
+) -> Cell | None:
+    """Return the paired difference of a metric, strong if its interval excludes 0; None without common trials."""
+    found = difference(ours, theirs, bootstrap, measure)
+    return found and Cell(found.estimate, found.estimate.low > 0 or found.estimate.high < 0)
 
 
 def mark_best(names: Sequence[str], lines: Sequence[Line], enough: Sequence[bool]) -> list[Line]:
@@ -221,14 +234,8 @@ def _difference(results: Results, pair: tuple[str, str], columns: list[Column], 
     cells: list[Cell | None] = []
     for at in columns:
         ours, theirs = (select(results.trials, name, at.category, at.cell_width) for name in pair)
-        found = difference(ours, theirs, results.bootstrap, measure)
-        cells.append(found and Cell(found.estimate, excludes_zero(found.estimate)))
+        cells.append(difference_cell(ours, theirs, results.bootstrap, measure))
     return Line(" − ".join(map(label, pair)), cells)
-
-
-def excludes_zero(found: Estimate) -> bool:
-    """Return whether the interval of a difference excludes 0."""
-    return found.low > 0 or found.high < 0
 
 
 def to_csv(layout: Layout) -> str:

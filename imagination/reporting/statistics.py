@@ -22,8 +22,8 @@ MIN_SCENES = 5
 KEY = ["approach", "category", "cell_width"]
 """Columns that identify a row of the results table."""
 
-TRIAL = ["cell_width", "scene", "viewpoint_set"]
-"""Columns that identify a trial of a row of the results table and a training seed."""
+VIEWPOINT_SET = ["cell_width", "scene", "viewpoint_set"]
+"""Columns that identify a viewpoint set, of which a row of the results table has one trial for each training seed."""
 
 Counts = Int64[np.ndarray, "seeds scenes 3"]
 """Correct, false-positive and ground-truth pixels, summed over the viewpoint sets of each scene."""
@@ -82,7 +82,7 @@ def of_all_seeds(trials: pd.DataFrame) -> pd.DataFrame:
     seeds = trials["seed"].nunique()
     if seeds == 1:
         return trials
-    found = trials.groupby(TRIAL, sort=False)["seed"].transform("nunique")
+    found = trials.groupby(VIEWPOINT_SET, sort=False)["seed"].transform("nunique")
     return trials[found == seeds]
 
 
@@ -152,7 +152,7 @@ def difference(
 
 def common_trials(ours: pd.DataFrame, theirs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the trials of which both have results, for all their training seeds."""
-    trials = [list(part[TRIAL].itertuples(index=False, name=None)) for part in (ours, theirs)]
+    trials = [list(part[VIEWPOINT_SET].itertuples(index=False, name=None)) for part in (ours, theirs)]
     if trials[0] == trials[1]:
         return ours, theirs
     common = set(trials[0]) & set(trials[1])

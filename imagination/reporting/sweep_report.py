@@ -34,7 +34,7 @@ def write(folder: Path) -> Path:
     from rich.console import Console
 
     from imagination.evaluation.single_views import ranked_by
-    from imagination.reporting import ablation, html
+    from imagination.reporting import ablation, best_setting, html
     from imagination.reporting.load_sweep import Multirun
     from imagination.reporting.style import label
     from imagination.reporting.tables import SCREEN_MAPPING, SCREEN_SWEEP, to_screen
@@ -48,6 +48,6 @@ def write(folder: Path) -> Path:
     columns = SCREEN_MAPPING if len(sweep.settings) == 1 else SCREEN_SWEEP
     Console().print(to_screen(shown, title, [*swept, *columns]))
     content = ablation.of_multirun(sweep)
-    for line in [*(f"incomplete: {problem}" for problem in content.problems), *ablation.summary(sweep)]:
+    for line in [*(f"incomplete: {problem}" for problem in content.problems), *best_setting.summary(sweep)]:
         print(line, file=sys.stderr)
     return html.write(folder, content)

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from imagination.evaluation.metrics import bootstrap_iou, count, interval, iou, mean_iou, pooled_iou, resample
+from imagination.evaluation.metrics import count, interval, iou, resample
+from tests.helpers.pooled import bootstrap_iou, mean_iou, pooled_iou
 
 COUNTS = np.array([[[3, 1, 4], [2, 2, 4]], [[5, 0, 10], [10, 5, 10]]])
 """Two scenes with two viewpoint sets each: correct, false-positive and ground-truth pixels."""

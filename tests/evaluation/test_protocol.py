@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from imagination.evaluation import saved_maps, trials
-from imagination.evaluation.metrics import mean_iou, pooled_iou
 from imagination.evaluation.protocol import ModelUnderTest
 from imagination.evaluation.records import Key, Report
 from imagination.evaluation.trials import Trial, ViewpointSampling, views_of
 from imagination.evaluation.viewpoints import Viewpoints
 from imagination.scenes.categories import CategoryTable
 from imagination.utils.errors import UserError
+from tests.helpers.pooled import mean_iou, pooled_iou
 from tests.helpers.toy_evaluation import Perfect, make_model, make_protocol
 
 SCENES = ["val_0", "test_1"]

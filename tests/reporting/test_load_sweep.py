@@ -13,7 +13,7 @@ import yaml
 from omegaconf import OmegaConf
 
 from imagination.report import read
-from imagination.reporting import ablation
+from imagination.reporting import best_setting
 from imagination.reporting.load_sweep import MAX_JOBS, Multirun, grid
 from imagination.reporting.paper_layout import Column
 from imagination.reporting.sweep_report import SweepReport
@@ -226,7 +226,7 @@ def test_jobs_without_a_common_category_are_drawn(tmp_path: Path) -> None:
         only_lines(folder, lambda line, left=left: left not in line)  # type: ignore[misc]
     drawn = [drawing for section in read(tmp_path).sections for drawing in section.drawings]
     assert [drawing.stem for drawing in drawn] == ["ablation_experiment__chair", "ablation_experiment__bed"]
-    (line,) = ablation.summary(Multirun(tmp_path))
+    (line,) = best_setting.summary(Multirun(tmp_path))
     assert "No best setting" in line  # the settings have other categories
     for drawing in drawn:
         drawing.draw()
@@ -292,7 +292,7 @@ def test_a_sweep_over_seeds_alone_is_one_setting(seeds: Path, tmp_path: Path) ->
     assert {(row["seeds"], row["trials"]) for row in rows if row["category"] == "chair"} == {("3", "12")}
     each = list(csv.DictReader(StringIO(content.tables["mapping_seeds.csv"])))
     assert len(each) == 3 * len(rows) and {row["seed"] for row in each} == {"0", "1", "2"}
-    assert ablation.summary(Multirun(tmp_path)) == []  # nothing to select
+    assert best_setting.summary(Multirun(tmp_path)) == []  # nothing to select
 
 
 def test_the_end_of_a_sweep_names_the_best_setting_and_the_report(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imagination.evaluation.metrics import bootstrap_iou, interval, pooled_iou, resample
+from imagination.evaluation.metrics import interval, resample
 from imagination.evaluation.record_files import PIXELS
 from imagination.reporting.statistics import (
     MIN_SCENES,
@@ -19,6 +19,7 @@ from imagination.reporting.statistics import (
     estimate,
 )
 from imagination.reporting.tables import mapping
+from tests.helpers.pooled import bootstrap_iou, pooled_iou
 
 BOOTSTRAP = Bootstrap(300, 1)
 

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imagination.evaluation.metrics import iou
+from imagination.evaluation.read_records import ConfusionCounts
 from imagination.evaluation.record_files import PIXELS
 from imagination.reporting import style
-from imagination.reporting.load_run import ConfusionCounts
 from imagination.reporting.statistics import Estimate, select
 from imagination.utils.tabular import Row, is_number
 
