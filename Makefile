@@ -1,11 +1,12 @@
 # setup: environment in .venv · train: train a unit · study: comparison of the paper · test: lints, types, imports, tests
+# docs: documentation site in outputs/docs (INTERSPHINX=1 adds links to other projects)
 # slow: long tests (with Ray and Optuna if installed) · bench: benchmarks · soak: fault injection · fuzz: fuzzing of parsers
 VENV ?= .venv
 PYTHON ?= python3
 RUN := $(VENV)/bin/python
 ARGS ?= +experiment=chair_unet
 
-.PHONY: setup train study test lint pytest slow bench soak fuzz
+.PHONY: setup train study test lint pytest docs slow bench soak fuzz
 
 setup: $(VENV)/.made
 
@@ -32,6 +33,9 @@ lint:
 
 pytest:
 	$(RUN) -m pytest -n 2 --dist worksteal
+
+docs: setup
+	$(RUN) -m sphinx --fail-on-warning --keep-going --quiet -j 2 docs outputs/docs
 
 slow: setup
 	$(RUN) -m pytest -m slow

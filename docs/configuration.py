@@ -1,4 +1,4 @@
-"""Generate docs/configuration.md with `python docs/configuration.py`; a test checks that it is current."""
+"""Generate docs/reference/configuration.md with `python docs/configuration.py`; a test checks that it is current."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from imagination.config.key_roles import KEYS, Key
 from imagination.utils.tabular import markdown_row
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "configuration.md"
+PAGE = ROOT / "docs" / "reference" / "configuration.md"
 
 HEAD = """# Configuration
 
@@ -24,7 +24,7 @@ All options and keys, generated from `conf/` and `imagination/config/key_roles.p
 ## Groups of a run
 
 - `logger=tensorboard|csv|wandb|mlflow|many`, a list such as `logger=[tensorboard,wandb]`, or `logger=null` for none.
-  wandb and mlflow need `pip install 'imagination[wandb]'` or `'imagination[mlflow]'`. Pictures, hyperparameters and
+  wandb and mlflow need `pip install -e '.[wandb]'` or `'.[mlflow]'`. Pictures, hyperparameters and
   the printed hints follow the loggers.
 - `trainer=default|cpu|gpu|ddp`. Any argument of `lightning.Trainer` is respected or refused by name
   ([Lightning](lightning.md)).
@@ -38,7 +38,7 @@ All options and keys, generated from `conf/` and `imagination/config/key_roles.p
 - `train=false` with `resume=<run folder>` only evaluates the run again; `test=false` only trains. A search maximises
   `optimized_metric`.
 - `hydra/launcher=submitit_slurm` runs the jobs of a sweep as SLURM jobs; it needs `pip install
-  'imagination[slurm]'`.
+  -e '.[slurm]'`.
 
 ## Keys
 

@@ -1,52 +1,137 @@
-"""Checks that the documentation matches the code."""
+"""Checks that the documentation matches the code: links, references, commands and code blocks."""
 
 import os
 import re
 import runpy
+import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
-ROOT = Path(__file__).resolve().parents[1]
+from imagination.config.compose import compose
+from tests.helpers.documentation import LANGUAGES, PAGES, ROOT, blocks, commands, run_page
+
+BLOCKS = [block for page in PAGES for block in blocks(page)]
+ROBOT = ROOT / "docs" / "how-to" / "robot.md"
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
 
 
 def test_the_config_reference_is_up_to_date() -> None:
     made = runpy.run_path(str(ROOT / "docs" / "configuration.py"))["page"]()
-    assert (ROOT / "docs" / "configuration.md").read_text() == made, "run: python docs/configuration.py"
+    page = ROOT / "docs" / "reference" / "configuration.md"
+    assert page.read_text() == made, "run: python docs/configuration.py"
 
 
-PAGES = ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))]
+@pytest.mark.parametrize("page", [*PAGES, *(ROOT / "docs" / "results").glob("*.md")], ids=name_of)
+def test_links_exist(page: Path) -> None:
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)(?:#[^)]*)?\)", page.read_text()):
+        assert (page.parent / target).exists(), f"{page} links to {target}"
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_links_exist(page: str) -> None:
-    path = ROOT / page
-    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", path.read_text()):
-        assert (path.parent / target).exists(), f"{page} links to {target}"
+def test_every_page_is_in_the_contents() -> None:
+    listed = re.findall(r"^[\w/-]+$", (ROOT / "docs" / "index.md").read_text(), re.MULTILINE)
+    pages = {str(path.relative_to(ROOT / "docs").with_suffix("")) for path in (ROOT / "docs").rglob("*.md")}
+    assert set(listed) - {"reference/api/modules"} == pages - {"index"}
 
 
-def test_the_example_of_the_mapper_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unit_file: Path
+def test_the_readme_is_a_page() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 100
+
+
+def test_blocks_are_run_or_say_why_not() -> None:
+    assert len(BLOCKS) > 50
+    for block in BLOCKS:
+        place = f"{block.page}:{block.line}"
+        assert block.language in LANGUAGES, place
+        assert not block.reason or block.language in ("bash", "python"), f"{place}: is never run"
+        assert "python -m" not in block.code or block.language != "text", f"{place}: use bash"
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md"], ids=name_of)
+def test_commands_compose(page: Path) -> None:
+    check_commands(page)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_of_every_page_compose(page: Path) -> None:
+    """Overrides of each command, also of those that are too long to run."""
+    check_commands(page)
+
+
+def check_commands(page: Path) -> None:
+    """Check that the config of each command of a page can be composed, with the first value of each sweep."""
+    for block in blocks(page):
+        for command in commands(block) if block.language == "bash" else []:
+            if found := re.match(r"(?:python -m imagination\.|imagination-)([\w-]+)(.*)", command):
+                words = [word for word in shlex.split(found[2]) if not word.startswith("-")]
+                compose(found[1].replace("-", "_"), [first_value(word) for word in words])
+
+
+def first_value(override: str) -> str:
+    """Return an override with the first of its comma-separated values."""
+    (parsed,) = OverridesParser.create().parse_overrides([override])
+    if not parsed.is_sweep_override():
+        return override
+    return f"{override.partition('=')[0]}={next(parsed.sweep_string_iterator())}"
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with a chair unit of `scale=test` in outputs/, and an image with depth."""
+    folder = tmp_path_factory.mktemp("trained")
+    command = [sys.executable, "-m", "imagination.train", "experiment=chair_unet", "scale=test"]
+    subprocess.run(command, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True)
+    write_images(folder)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_the_blocks_of_a_page_run(page: Path, trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained, tmp_path, symlinks=True, dirs_exist_ok=True)
+    run_page(page, tmp_path)
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", ROBOT], ids=name_of)
+def test_python_examples_of_the_mapper_run(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unit_file: Path
 ) -> None:
-    """The example of the README with a small untrained unit."""
+    """The examples with a small untrained unit."""
     from imagination.mapping.map_io import load_layer
 
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (code,) = (block.code for block in blocks(page) if block.language == "python")
     assert len(code.splitlines()) < 30
     monkeypatch.chdir(tmp_path)
     (tmp_path / "best.onnx").symlink_to(unit_file)
+    write_images(tmp_path)
+    code = code.replace("outputs/chair_unet/latest/checkpoints/best.ckpt", "best.onnx")
     with pytest.warns(UserWarning, match="field of view"):
-        exec(compile(code, "README.md", "exec"), {})
+        exec(compile(code, str(page), "exec"), {})
     assert (load_layer(tmp_path / "my_map" / "map.yaml").layer >= 0).any()
+
+
+def write_images(folder: Path) -> None:
+    """Write an image of noise and a depth image of a wall, as those of a robot."""
+    rng = np.random.default_rng(0)
+    cv2.imwrite(str(folder / "colour.png"), rng.integers(0, 256, (480, 640, 3), np.uint8))
+    cv2.imwrite(str(folder / "depth.png"), np.full((480, 640), 2000, np.uint16))
 
 
 ISOLATED = """
 import re, sys
 from importlib.metadata import packages_distributions, requires
 from pathlib import Path
-allowed, pending = set(), sys.argv[1:]
+page, allowed, pending = sys.argv[1], set(), sys.argv[2:]
 while pending:
     name = re.split("[ ;<>=!~(]", pending.pop(), maxsplit=1)[0].lower().replace("_", "-")
     if name not in allowed:
@@ -58,10 +143,10 @@ class Block:
     def find_spec(self, name, path=None, target=None):
         module = name.partition(".")[0]
         if module != "imagination" and not owners.get(module, allowed) & allowed:
-            raise ImportError("not in the README's list: " + name)
+            raise ImportError("not in the list of the page: " + name)
 sys.meta_path.insert(0, Block())
-(code,) = re.findall(r"```python\\n(.*?)```", Path(sys.argv[0]).read_text(), re.DOTALL)
-exec(compile(code, "README.md", "exec"), {})
+(code,) = re.findall(r"```python\\n(.*?)```", Path(page).read_text(), re.DOTALL)
+exec(compile(code, page, "exec"), {})
 from imagination.mapping.map_io import load_layer
 assert (load_layer("my_map/map.yaml").layer >= 0).any()
 try:
@@ -71,13 +156,11 @@ except ImportError as error:
 """
 
 
-def test_the_example_needs_only_the_packages_in_the_readme(tmp_path: Path, unit_file: Path) -> None:
-    readme = ROOT / "README.md"
-    (packages,) = re.findall(r"`pip install (numpy numba [^`]*)` are enough", readme.read_text())
+def test_the_robot_example_needs_only_the_packages_on_its_page(tmp_path: Path, unit_file: Path) -> None:
+    (packages,) = re.findall(r"pip install (numpy numba .*)", ROBOT.read_text())
     (tmp_path / "best.onnx").symlink_to(unit_file)
-    code = ISOLATED.replace("sys.argv[0]", repr(str(readme)))
     done = subprocess.run(
-        [sys.executable, "-c", code, *packages.split()],
+        [sys.executable, "-c", ISOLATED, str(ROBOT), *packages.split()],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
@@ -85,7 +168,7 @@ def test_the_example_needs_only_the_packages_in_the_readme(tmp_path: Path, unit_
         timeout=300,
     )
     assert done.returncode == 0, done.stderr
-    assert "not in the README's list: hydra" in done.stdout  # imports are blocked
+    assert "not in the list of the page: hydra" in done.stdout  # imports are blocked
 
 
 def test_the_smallest_scene_source_is_small() -> None:
@@ -94,5 +177,4 @@ def test_the_smallest_scene_source_is_small() -> None:
         example / "imagination_example" / "rooms.py",
         example / "conf" / "data" / "scenes" / "box_rooms.yaml",
     ]
-    lines = sum(len(path.read_text().splitlines()) for path in files)
-    assert lines < 60 and f"{lines} lines" in (ROOT / "docs" / "scene-sources.md").read_text()
+    assert sum(len(path.read_text().splitlines()) for path in files) < 60

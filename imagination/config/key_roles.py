@@ -1,7 +1,7 @@
 """Table of the configuration keys: role, range, unit, symbol in the paper, and earlier names.
 
 The role of a key decides whether a checkpoint stores it and may set it, whether a resumed run may change it, and
-whether two jobs of a sweep that differ in it share one training. `docs/configuration.md` shows the table.
+whether two jobs of a sweep that differ in it share one training. `docs/reference/configuration.md` shows the table.
 """
 
 from collections.abc import Mapping

@@ -152,8 +152,8 @@ def _unknown(config_name: str, key: str, names: Iterable[str]) -> UserError:
     same_leaf = [name for name in names if name.rpartition(".")[2] == leaf]  # at another place
     closest = list(dict.fromkeys([*get_close_matches(key, names, n=3, cutoff=0.6), *same_leaf]))[:4]
     return UserError(
-        f"{key}: got a key or group that imagination.{config_name} does not have, expected one of docs/configuration.md"
-        f"{_did_you_mean(closest)}"
+        f"{key}: got a key or group that imagination.{config_name} does not have, expected one of "
+        f"docs/reference/configuration.md{_did_you_mean(closest)}"
     )
 
 

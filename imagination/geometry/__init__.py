@@ -1,1 +1,1 @@
-"""Camera, poses, grids, projection and morphology, in NumPy, Numba and OpenCV only (docs/conventions.md)."""
+"""Camera, poses, grids, projection and morphology, in NumPy, Numba and OpenCV only (docs/concepts/conventions.md)."""

@@ -1,4 +1,4 @@
-"""Pinhole camera of the robot (docs/conventions.md: optical frame x right, y down, z forward)."""
+"""Pinhole camera of the robot (docs/concepts/conventions.md: optical frame x right, y down, z forward)."""
 
 from dataclasses import dataclass
 

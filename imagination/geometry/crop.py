@@ -1,4 +1,4 @@
-"""Affine map from egocentric cells to global cells, and egocentric crops of global maps (docs/conventions.md)."""
+"""Affine map from egocentric to global cells, and egocentric crops of global maps (docs/concepts/conventions.md)."""
 
 import numpy as np
 from jaxtyping import Bool, Float64

@@ -1,4 +1,4 @@
-"""Grids that map array cells to metric positions (docs/conventions.md).
+"""Grids that map array cells to metric positions (docs/concepts/conventions.md).
 
 Arrays are indexed [row, column]. Global maps have row 0 at the largest y, as nav2's map_server stores them, and columns
 grow with x. In egocentric maps the robot is at the centre of the middle cell of the last row and faces up.

@@ -1,4 +1,4 @@
-"""Dilation and closing of masks with square kernels, configured in metres (docs/conventions.md)."""
+"""Dilation and closing of masks with square kernels, configured in metres (docs/concepts/conventions.md)."""
 
 from collections.abc import Callable
 

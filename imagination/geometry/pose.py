@@ -1,4 +1,4 @@
-"""Planar poses (docs/conventions.md: world x, y horizontal, z up; theta counter-clockwise from +x)."""
+"""Planar poses (docs/concepts/conventions.md: world x, y horizontal, z up; theta counter-clockwise from +x)."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Projection of depth images into maps: occupied cells, seen cells and cells of each category (docs/conventions.md).
+"""Projection of depth images into maps: occupied cells, seen cells, categories (docs/concepts/conventions.md).
 
 The depth return d at pixel centre (u + 0.5, v + 0.5) has the map coordinates
 (row, column, height) = d * rays @ (u + 0.5, v + 0.5, 1) + offset, with rows and columns in cells (integers are cell

@@ -1,4 +1,4 @@
-"""Registration of egocentric views with known poses into a global map (docs/conventions.md)."""
+"""Registration of egocentric views with known poses into a global map (docs/concepts/conventions.md)."""
 
 import os
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ class Mapper:
     """Global map of probabilities, one layer per category, into which views are registered.
 
     The first view that writes a cell sets its value. So does the first view that observes a cell which was only
-    imagined before; otherwise a wrong prediction would outweigh later observations (measured in docs/conventions.md).
+    imagined before; otherwise a wrong prediction would outweigh later observations (docs/concepts/conventions.md).
 
     A view changes only the cells of its window, which are sampled by inverse mapping (bilinear for values, nearest for
     masks), so the cost depends on the size of the egocentric map and not on that of the global map.

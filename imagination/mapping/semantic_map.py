@@ -18,7 +18,7 @@ FREE_BELOW, OCCUPIED_FROM = 0.25, 0.5
 """Bounds of the occupancy probability between which a cell is unknown because views disagree."""
 
 Layer = Int8[np.ndarray, "h w"]
-"""Values as in nav_msgs/OccupancyGrid, but with row 0 at the largest y (docs/conventions.md)."""
+"""Values as in nav_msgs/OccupancyGrid, but with row 0 at the largest y (docs/concepts/conventions.md)."""
 
 Corner = tuple[int, int]
 """Corner of a cell (row, column); (0, 0) is the upper-left corner of the map."""

@@ -11,7 +11,9 @@ from imagination.utils.errors import UserError
 
 
 class DepthHits(nn.Module):
-    """Projection of depth returns into the egocentric grid: ray times depth, in the robot frame (docs/conventions.md).
+    """Projection of depth returns into the egocentric grid: ray times depth, in the robot frame.
+
+    docs/concepts/conventions.md defines the frames.
 
     Args:
         camera: camera of the depth images.

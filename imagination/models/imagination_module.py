@@ -1,4 +1,4 @@
-"""Imagination module of the paper (section III-B): identical, independent units, one per category."""
+"""Imagination module of the paper (section IV-B): identical, independent units, one per category."""
 
 from collections.abc import Sequence
 from copy import deepcopy

@@ -1,4 +1,4 @@
-"""Imagination unit of the paper (section III-B): image encoder and map backbone."""
+"""Imagination unit of the paper (section IV-B): image encoder and map backbone."""
 
 from collections.abc import Callable, Sequence
 

@@ -1,4 +1,4 @@
-"""Losses on logits: weighted binary cross-entropy of the paper (section III-B) and cross-entropy with batch dice."""
+"""Losses on logits: weighted binary cross-entropy of the paper (section IV-B) and cross-entropy with batch dice."""
 
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
