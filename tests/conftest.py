@@ -12,17 +12,30 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes on two cores
 
-import hydra
 import pytest
+import yaml
+
+import imagination.utils.tabular  # its loader extends yaml's parser in Python
+
+yaml.SafeLoader = yaml.CSafeLoader  # for Hydra, which parses thousands of files here: ten times faster
+
+import hydra
 from hydra.core.global_hydra import GlobalHydra
 from jaxtyping import install_import_hook
 from omegaconf import DictConfig
 
 from tests.helpers import shape_checker
 
-install_import_hook("imagination", f"{shape_checker.__name__}.checked")
-
 ROOT = Path(__file__).resolve().parents[1]
+
+
+def shaped_modules() -> list[str]:
+    """Return the modules whose signatures have array shapes; checking the others would take half of the tests' time."""
+    paths = [path for path in (ROOT / "imagination").rglob("*.py") if "jaxtyping import" in path.read_text()]
+    return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths]
+
+
+install_import_hook(shaped_modules(), f"{shape_checker.__name__}.checked")
 
 _compose = hydra.compose
 

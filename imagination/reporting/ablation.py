@@ -105,7 +105,7 @@ def _differences(baseline: Setting, setting: Setting) -> pd.DataFrame:
                 {
                     **dict(zip(KEY, key, strict=True)),
                     "compared_with": baseline.name,
-                    **tables.differencecolumns_of(found),
+                    **tables.difference_columns(found),
                     "seeds": found.seeds,
                     "scenes": found.scenes,
                 }
