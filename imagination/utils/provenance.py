@@ -11,6 +11,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple
 
+DISTRIBUTION = "spatial-imagination"
+"""Name of the distribution of this project; the `imagination` on PyPI is another project."""
+
 
 class Provenance(NamedTuple):
     """Provenance of results.
@@ -39,7 +42,7 @@ def current_provenance() -> Provenance:
 def package_version() -> str:
     """Return the version of the installed package; empty if it is not installed."""
     try:
-        return version("imagination")
+        return version(DISTRIBUTION)
     except PackageNotFoundError:
         return ""
 
