@@ -21,7 +21,7 @@ from imagination.runs.hydra_folder import experiment_folder, new_run_folder
 from imagination.runs.logging import logging_to
 from imagination.utils import interrupts
 from imagination.utils.atomic_io import write_text
-from imagination.utils.errors import UserError, check_choice
+from imagination.utils.errors import UserError, check_choice, install_command
 
 log = logging.getLogger(__name__)
 
@@ -65,7 +65,7 @@ def check_server(name: str) -> None:
     if not servers:
         raise UserError(
             f"server: got {name!r}, expected a server of a plugin; copy plugins/ros of the repository into plugins/ of "
-            "this folder, and pip install 'imagination[ros]'"
+            f"this folder, and run: {install_command('ros')}"
         )
     check_choice("server", name, servers)
 

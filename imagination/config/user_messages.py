@@ -8,7 +8,7 @@ from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
 from imagination.utils import interrupts
-from imagination.utils.errors import UserError
+from imagination.utils.errors import UserError, install_command
 
 EXTRAS: Mapping[str, str] = {
     "hydra/launcher/joblib": "joblib",
@@ -50,9 +50,7 @@ def explain(error: BaseException) -> str | None:
     texts = dict.fromkeys(str(cause).partition("\nConfig search path")[0].strip() for cause in causes)
     message = "\n".join(text for text in texts if not any(text in other for other in texts if other != text))
     missing = [extra for option, extra in EXTRAS.items() if f"'{option}'" in message]
-    return "\n".join(
-        [message, *(f"Install it with: pip install 'imagination[{extra}]'" for extra in missing)]
-    )
+    return "\n".join([message, *(f"Install it with: {install_command(extra)}" for extra in missing)])
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -23,6 +23,11 @@ def first_of(names: Sequence[str], limit: int = 5) -> str:
     return ", ".join(names[:limit]) + more
 
 
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra of this project, in its checkout or from its wheel."""
+    return f"pip install -e '.[{extra}]' (in the checkout; with a wheel: pip install 'FILE.whl[{extra}]')"
+
+
 def require_extra(package: str, extra: str) -> None:
     """Check that an optional package is installed.
 
@@ -30,7 +35,7 @@ def require_extra(package: str, extra: str) -> None:
         UserError: if it is missing, with the command that installs it.
     """
     if find_spec(package) is None:
-        raise UserError(f"{package}: not installed; install it with pip install 'imagination[{extra}]'")
+        raise UserError(f"{package}: not installed; install it with: {install_command(extra)}")
 
 
 def check_range(

@@ -103,7 +103,7 @@ def test_unmeasured_sections_are_reported(
     output = json.loads(capsys.readouterr().out)
     command.write(tmp_path, "shards", {**result(), **output})
     page = (tmp_path / "results.md").read_text()
-    assert "| shards | not measured |" in page and "pip install 'imagination[shards]'" in page
+    assert "| shards | not measured |" in page and "pip install -e '.[shards]'" in page
 
 
 def test_a_failed_section_keeps_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

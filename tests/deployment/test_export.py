@@ -236,7 +236,7 @@ def test_a_broken_program_gets_one_message(tmp_path: Path, caplog: pytest.LogCap
 
 def test_a_missing_onnxruntime_says_what_to_install(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(UserError, match=r"pip install 'imagination\[onnx\]'"):
+    with pytest.raises(UserError, match=r"pip install -e '\.\[onnx\]'"):
         load(files / "chair.onnx")
 
 

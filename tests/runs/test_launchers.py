@@ -217,7 +217,7 @@ def test_a_missing_extra_names_the_command() -> None:
     from imagination.config.user_messages import explain
 
     missing = MissingConfigException("Could not find 'hydra/launcher/joblib'", "hydra/launcher/joblib")
-    assert "pip install 'imagination[joblib]'" in (explain(missing) or "")
+    assert "pip install -e '.[joblib]'" in (explain(missing) or "")
 
 
 def test_without_ray_the_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,5 +225,5 @@ def test_without_ray_the_command_is_named(monkeypatch: pytest.MonkeyPatch) -> No
     from hydra_plugins.imagination_ray.launcher import RayLauncher
 
     monkeypatch.setattr(errors, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"pip install 'imagination\[ray\]'"):
+    with pytest.raises(UserError, match=r"pip install -e '\.\[ray\]'"):
         RayLauncher("local", 1, 0, 3).launch([["seed=1"]], 0)

@@ -21,7 +21,7 @@ from imagination.runs import sweep_jobs
 from imagination.runs.folder import LAST
 from imagination.runs.locking import locked
 from imagination.runs.sweep_jobs import config_key
-from imagination.utils.errors import UserError
+from imagination.utils.errors import UserError, install_command
 from tests.conftest import ROOT, Command
 
 SWEEPS = sorted(path.stem for path in (ROOT / "conf" / "sweep").glob("*.yaml"))
@@ -120,7 +120,7 @@ def test_a_missing_extra_is_reported_with_its_installation(option: str) -> None:
     message = explain(
         MissingConfigException(f"In 'train': Could not find '{option}'\n\nAvailable options: basic")
     )
-    assert message is not None and message.endswith(f"pip install 'imagination[{option.rpartition('/')[2]}]'")
+    assert message is not None and message.endswith(install_command(option.rpartition("/")[2]))
 
 
 @pytest.mark.slow

@@ -94,7 +94,7 @@ def test_a_missing_rerun_says_what_to_install() -> None:
     except ImportError:
         from imagination.viewers.rerun import Rerun
 
-        with pytest.raises(UserError, match=r"pip install 'imagination\[rerun\]'"):
+        with pytest.raises(UserError, match=r"pip install -e '\.\[rerun\]'"):
             Rerun()
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from imagination.scenes.scene import Material
 from imagination.scenes.source import Split
-from imagination.utils.errors import UserError
+from imagination.utils.errors import UserError, require_extra
 from imagination_scans.building import GREY, Building, ScannedObject, check_building, colour_texture
 from imagination_scans.layouts import check_id, hash_fraction, split_lists
 
@@ -135,10 +135,9 @@ def _parts(path: Path) -> list[Part]:
     Raises:
         UserError: if trimesh is not installed or the file is malformed.
     """
-    try:
-        import trimesh
-    except ImportError as error:
-        raise UserError("HM3D requires trimesh: pip install 'imagination[scans]'") from error
+    require_extra("trimesh", "scans")
+    import trimesh
+
     try:
         scene = trimesh.load_scene(path, process=False)
         meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]

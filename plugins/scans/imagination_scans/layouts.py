@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from imagination.scenes.source import SPLITS, Split
-from imagination.utils.errors import UserError
+from imagination.utils.errors import UserError, require_extra
 from imagination_scans.building import GREY, MAX_ID, Building
 
 
@@ -101,10 +101,9 @@ def read_ply(path: Path) -> Any:
     Raises:
         UserError: if plyfile is not installed or the file is malformed.
     """
-    try:
-        from plyfile import PlyData, PlyElementParseError, PlyHeaderParseError
-    except ImportError as error:
-        raise UserError("scanned buildings require plyfile: pip install 'imagination[scans]'") from error
+    require_extra("plyfile", "scans")
+    from plyfile import PlyData, PlyElementParseError, PlyHeaderParseError
+
     try:
         _check_counts(path)
         for corners in (3, 4):

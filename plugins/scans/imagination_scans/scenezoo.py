@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from imagination.scenes.source import SPLITS, Split
-from imagination.utils.errors import UserError
+from imagination.utils.errors import UserError, require_extra
 from imagination_scans.building import GREY, Building, ScannedObject, check_building, colour_texture
 from imagination_scans.layouts import face_colours, split_lists
 
@@ -109,10 +109,7 @@ class SceneZoo:
         return building.parent
 
     def _open(self, folder: Path) -> Any:
-        try:
-            from scenezoo import get_dataset
-        except ImportError as error:
-            raise UserError(
-                f"{self.dataset} requires scenezoo: pip install 'imagination[scenezoo]'"
-            ) from error
+        require_extra("scenezoo", "scenezoo")
+        from scenezoo import get_dataset
+
         return get_dataset(self.dataset, folder, **self.options)

@@ -9,7 +9,7 @@ from imagination.scenes.building_blocks.palette import Finish
 from imagination.scenes.building_blocks.pieces import Assembly, Piece
 from imagination.scenes.building_blocks.shapes import Solid, box
 from imagination.scenes.scene import Material
-from imagination.utils.errors import UserError
+from imagination.utils.errors import UserError, require_extra
 from imagination_sweethome3d.home_file import Colour, HomePiece, Level, Room, Wall
 
 MAX_DOOR_SILL = 0.15
@@ -59,12 +59,9 @@ def triangulate(room: Room) -> Solid:
     Raises:
         UserError: if mapbox_earcut is not installed.
     """
-    try:
-        from mapbox_earcut import triangulate_float64
-    except ImportError as error:
-        raise UserError(
-            "homes of Sweet Home 3D require mapbox_earcut: pip install 'imagination[sweethome3d]'"
-        ) from error
+    require_extra("mapbox_earcut", "sweethome3d")
+    from mapbox_earcut import triangulate_float64
+
     points = np.array(room.outline, np.float64)
     faces = triangulate_float64(points, np.array([len(points)], np.uint32)).astype(np.int64).reshape(-1, 3)
     vertices = np.column_stack([points, np.zeros(len(points))])

@@ -131,7 +131,7 @@ def test_an_index_that_would_run_code_is_refused(
 
 def test_a_missing_extra_names_the_command(monkeypatch: pytest.MonkeyPatch, dataset: Path) -> None:
     monkeypatch.setattr(errors, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"litdata: .*imagination\[shards\]"):
+    with pytest.raises(UserError, match=r"litdata: .*'\.\[shards\]'"):
         opened(dataset)
 
 
