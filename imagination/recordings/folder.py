@@ -1,4 +1,4 @@
-"""Recordings in plain folders: image files, a table of poses and a YAML file of the camera (docs/robot.md)."""
+"""Recordings in plain folders: image files, a table of poses and a YAML file of the camera (docs/how-to/robot.md)."""
 
 import csv
 from collections import Counter

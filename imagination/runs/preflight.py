@@ -55,12 +55,12 @@ def check_processes(config: DictConfig) -> None:
     if tasks > 1 and not started_by_torchrun():
         raise UserError(
             f"srun: got {tasks} tasks, expected 1, because the tasks would train independently; use --ntasks=1, or one "
-            "torchrun per host: srun --ntasks-per-node=1 torchrun … (see docs/scaling.md)"
+            "torchrun per host: srun --ntasks-per-node=1 torchrun … (see docs/how-to/scale-out.md)"
         )
     if config.trainer.num_nodes > 1 and not started_by_torchrun():
         raise UserError(
             f"trainer.num_nodes: got {config.trainer.num_nodes} without torchrun, expected 1; start torchrun on each "
-            "host (see docs/scaling.md)"
+            "host (see docs/how-to/scale-out.md)"
         )
     if count == 1:
         return

@@ -1,8 +1,8 @@
-"""Generated parts of docs/reliability.md, between marks."""
+"""Generated parts of docs/measured/reliability.md, between marks."""
 
 from pathlib import Path
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "measured" / "reliability.md"
 
 
 def read_part(name: str) -> list[str]:

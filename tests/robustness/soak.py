@@ -292,7 +292,7 @@ def resident() -> float:
 
 
 def main(arguments: list[str]) -> None:
-    """Run the soak test and write its results into docs/reliability.md."""
+    """Run the soak test and write its results into docs/measured/reliability.md."""
     values = {"minutes": 20.0, "seed": 0.0}
     for key, _, value in (argument.partition("=") for argument in arguments):
         if key not in values:

@@ -63,7 +63,7 @@ def test_without_colour_the_rest_is_the_same(scene: Scene, images: list[tuple[Po
 def test_the_example_source_has_the_length_in_the_docs() -> None:
     files = [ROOT / "tests/helpers/example_plugin" / path for path in EXAMPLE]
     lines = sum(len(path.read_text().splitlines()) for path in files)
-    text = (ROOT / "docs" / "scene-sources.md").read_text()
+    text = (ROOT / "docs" / "how-to" / "scenes.md").read_text()
     assert lines < 60 and f"{lines} lines with its config" in text
 
 
@@ -76,8 +76,8 @@ def test_the_pictures_of_the_docs_can_be_drawn(tmp_path: Path, monkeypatch: pyte
     page.main(["box_rooms"])
     picture = cv2.imread(str(tmp_path / "source-box_rooms.png"))
     assert picture is not None and picture.std() > 10
-    text = (ROOT / "docs" / "scene-sources.md").read_text()
-    assert all(f"(pictures/source-{name}.png)" in text for name in SOURCES)
+    text = (ROOT / "docs" / "how-to" / "scenes.md").read_text()
+    assert all(f"(../pictures/source-{name}.png)" in text for name in SOURCES)
 
 
 def points_of(pose: Pose, image: Image, scene: Scene) -> np.ndarray:
