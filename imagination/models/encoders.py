@@ -1,6 +1,7 @@
 """Image encoders, which map RGB images to one feature map: any timm model that supports features_only."""
 
 import difflib
+from abc import ABC, abstractmethod
 from typing import Any
 
 import timm
@@ -16,7 +17,21 @@ EARLY_STRIDES = (4, 8)
 """Lowest and highest stride of the stages in use, pixels; of ResNet-18 these are the first two, 64 and 128 channels."""
 
 
-class TimmEncoder(nn.Module):
+class Encoder(nn.Module, ABC):
+    """Base class of image encoders.
+
+    Attributes:
+        channels: number of channels of the feature map.
+    """
+
+    channels: int
+
+    @abstractmethod
+    def forward(self, rgb: UInt8[Tensor, "b 3 h w"]) -> Float[Tensor, "b c p q"]:
+        """Return the features of the images: (B, `channels`, rows, columns)."""
+
+
+class TimmEncoder(Encoder):
     """Early stages of a timm model, resized to the coarsest stage and concatenated.
 
     Images are normalised with the model's mean and standard deviation. A model without stages of the strides in

@@ -9,7 +9,7 @@ from torch import Tensor
 from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.models.backbones import Backbone
-from imagination.models.encoders import TimmEncoder
+from imagination.models.encoders import Encoder
 from imagination.models.height_bands import HeightBands
 from imagination.models.unit import Unit, prediction_head, window_cells
 
@@ -38,7 +38,7 @@ class ImaginationUnit(Unit):
 
     def __init__(
         self,
-        encoder: TimmEncoder,
+        encoder: Encoder,
         backbone: Callable[..., Backbone],
         camera: Camera,
         ego: EgoGrid,

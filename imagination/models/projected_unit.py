@@ -11,7 +11,7 @@ from imagination.geometry.camera import Camera
 from imagination.geometry.grid import EgoGrid
 from imagination.models.backbones import Backbone, Convolution
 from imagination.models.depth_hits import DepthHits
-from imagination.models.encoders import TimmEncoder
+from imagination.models.encoders import Encoder
 from imagination.models.resizing import resize
 from imagination.models.unit import Unit, prediction_head, window_cells
 
@@ -36,7 +36,7 @@ class ProjectedUnit(Unit):
 
     def __init__(
         self,
-        encoder: TimmEncoder,
+        encoder: Encoder,
         backbone: Callable[..., Backbone],
         camera: Camera,
         ego: EgoGrid,
