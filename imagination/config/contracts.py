@@ -36,11 +36,13 @@ CONTRACTS = {
     "mapping.registration": RULE,
     "evaluation.approaches.*.rule": RULE,
     "model.unit": Contract("imagination.models.unit.Unit", ("forward",), ("categories",)),
-    "model.encoder": Contract("imagination.models.encoders.TimmEncoder", ("forward",), ("channels",)),
+    "model.encoder": Contract("imagination.models.encoders.Encoder", ("forward",), ("channels",)),
+    "model.backbone": Contract("imagination.models.backbones.Backbone", ("forward",), ("width",)),
     "model.loss": Contract("imagination.models.losses.Loss", ("__call__",), ("in_parts",)),
     "data.scenes": Contract(
         "imagination.scenes.source.SceneSource", ("scenes", "load", "identity", "fingerprint")
     ),
+    "sensor": Contract("imagination.scenes.sensor.Sensor", ("__call__",)),
 }
 """Contracts by place in the config (* is any key)."""
 
@@ -57,8 +59,11 @@ def check_contracts(config: DictConfig) -> None:
         contract = _contract_of(place)
         if contract is None or not target or target.startswith("imagination."):
             continue
-        missing = list(_missing_methods(hydra.utils.get_object(target), contract))
-        if contract.attributes and not missing:
+        cls = hydra.utils.get_object(target)
+        missing = list(_missing_methods(cls, contract))
+        if node.get("_partial_"):  # created later, with further arguments
+            missing += _never_assigned(cls, contract)
+        elif contract.attributes and not missing:
             missing += _missing_attributes(hydra.utils.instantiate(node), contract)
         if missing:
             raise UserError(f"{place}: got {target}, {_problem(missing, contract)}")

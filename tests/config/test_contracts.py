@@ -21,6 +21,16 @@ class Encoder:
     def forward(self, rgb):
         return rgb
 
+class Backbone:
+    def __init__(self):
+        self.width = 4
+    def forward(self, maps, image=None):
+        return maps
+
+class Sensor:
+    def __call__(self, image, rng):
+        return image
+
 class Loss:
     in_parts = False
     def __call__(self, logits, label, neighbourhood, counts=None):
@@ -36,14 +46,18 @@ class Unit:
 PLACES = {
     "mapping/registration": ("Rule", "def __call__(self, old, new, count)", "def __call__(self, old, new)"),
     "model/encoder": ("Encoder", "self.channels = 3", "self.width = 3"),
+    "model/backbone": ("Backbone", "self.width = 4", "self.size = 4"),
     "model/loss": ("Loss", "in_parts = False", "parts = False"),
     "model": ("Unit", "self.categories = ", "self.names = "),
+    "sensor": ("Sensor", "def __call__(self, image, rng)", "def __call__(self, image)"),
 }
 MISSING = {
     "mapping/registration": "__call__(old, new, count)",
     "model/encoder": "channels",
+    "model/backbone": "width",
     "model/loss": "in_parts",
     "model": "categories",
+    "sensor": "__call__(image, rng)",
 }
 
 
@@ -88,6 +102,29 @@ def test_the_example_plugin_and_experiments_fulfil_their_contracts(
     assert plugin_problem(example_plugin / "conf") == ""
     for experiment in ("chair_unet", "all_units", "segmentation_hrnet"):
         check_contracts(compose("train", [f"experiment={experiment}", "scale=test", "paths.run=."]))
+
+
+@pytest.mark.parametrize("assigned", ["width", "size"])
+def test_a_backbone_is_checked_without_its_arguments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, assigned: str
+) -> None:
+    code = f"""
+class Backbone:
+    def __init__(self, in_channels, image_channels, width):
+        self.{assigned} = width
+    def forward(self, maps, image=None):
+        return maps
+"""
+    name = f"backbone_with_{assigned}"
+    plugin(tmp_path, "model/backbone", code, name)
+    monkeypatch.syspath_prepend(tmp_path)
+    node = {"_target_": f"{name}.Backbone", "_partial_": True, "width": 4}
+    config = OmegaConf.create({"model": {"backbone": node}})
+    if assigned == "width":
+        check_contracts(config)
+    else:
+        with pytest.raises(UserError, match=rf"model.backbone: got {name}.Backbone, .*width.*backbones.Backbone"):
+            check_contracts(config)
 
 
 def test_a_class_of_a_library_is_checked() -> None:
