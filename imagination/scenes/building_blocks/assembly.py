@@ -1,14 +1,48 @@
-"""Assembly of placed pieces into one mesh and its objects."""
+"""Assembly of placed pieces into one mesh, its objects and a scene."""
+
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int32
 
 from imagination.scenes.building_blocks.palette import Finish
 from imagination.scenes.building_blocks.pieces import Piece, Placed
-from imagination.scenes.scene import Mesh, OrientedBox, SceneObject
+from imagination.scenes.free_space import free_space
+from imagination.scenes.scene import Lighting, Mesh, OrientedBox, Scene, SceneObject
 
 
-def assemble(objects: list[Placed]) -> Mesh:
+def assemble_scene(
+    name: str,
+    placed: Sequence[Placed],
+    category_of: Callable[[str], str | None],
+    robot_radius: float,
+    lighting: Lighting | None = None,
+    ceiling_height: float = 2.6,
+) -> Scene:
+    """Assemble placed pieces into a scene with its floor at height 0.
+
+    Args:
+        name: name of the scene.
+        placed: the building, then the objects.
+        category_of: function that returns the category of a label, or None.
+        robot_radius: radius of the robot, metres.
+        lighting: lighting of the scene; white ambient light if None.
+        ceiling_height: height of the ceiling, metres.
+
+    Raises:
+        UserError: if the robot has no free space.
+    """
+    mesh = assemble(placed)
+    free = free_space(mesh, 0.0, robot_radius)
+    objects = tuple(
+        object_of(instance, obj, category_of(obj.piece.label))
+        for instance, obj in enumerate(placed)
+        if instance > 0  # 0 is the building
+    )
+    return Scene(name, mesh, lighting or Lighting(), objects, free, 0.0, ceiling_height)
+
+
+def assemble(objects: Sequence[Placed]) -> Mesh:
     """Assemble placed pieces into one mesh; the index of an object is its instance id."""
     pieces = [obj.piece for obj in objects]
     finishes: dict[int, Finish] = {id(finish): finish for piece in pieces for finish in piece.finishes}

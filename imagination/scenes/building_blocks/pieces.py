@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from imagination.scenes.building_blocks.palette import Finish
 from imagination.scenes.building_blocks.shapes import Point, Solid
+from imagination.scenes.scene import Material
 
 
 class Seat(NamedTuple):
@@ -133,6 +134,13 @@ class Assembly:
             tuple(self.seats),
             tuple(self.surfaces),
         )
+
+
+def plain_piece(label: str, solid: Solid, colour: tuple[float, float, float]) -> Piece:
+    """Return a piece that is a single solid of one colour, RGB from 0 to 1."""
+    assembly = Assembly(label)
+    assembly.add(solid, Finish(Material(colour)))
+    return assembly.finished()
 
 
 def box_uv(solid: Solid) -> Float[np.ndarray, "m 3 2"]:

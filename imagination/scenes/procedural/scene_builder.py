@@ -1,13 +1,14 @@
 """Builder of one home: a scene with floor plan, building and furniture."""
 
+from functools import partial
+
 import numpy as np
 from jaxtyping import Float
 
-from imagination.scenes.building_blocks.assembly import assemble, object_of
+from imagination.scenes.building_blocks.assembly import assemble_scene
 from imagination.scenes.building_blocks.furniture_source import SOURCE, Furniture
 from imagination.scenes.building_blocks.pieces import Placed
 from imagination.scenes.categories import CategoryTable
-from imagination.scenes.free_space import free_space
 from imagination.scenes.procedural.floor_plan.building import build_building
 from imagination.scenes.procedural.floor_plan.plan import Plan
 from imagination.scenes.procedural.floor_plan.plan_generator import draw_plan
@@ -59,18 +60,13 @@ def build_home(
         lighting = _lighting(rng)
         centre = _centre(building.within(0.0, 0.0, yaw))
         placed = [obj.within(-centre[0], -centre[1], yaw) for obj in (building, *furniture)]
-        mesh = assemble(placed)
+        category_of = partial(categories.of_label, SOURCE)
         try:
-            free = free_space(mesh, 0.0, robot_radius)
+            scene = assemble_scene(name, placed, category_of, robot_radius, lighting, plan.ceiling)
         except UserError:
             continue
-        if _reaches_all(free, plan, placed[0]):
-            objects = tuple(
-                object_of(i, obj, categories.of_label(SOURCE, obj.piece.label))
-                for i, obj in enumerate(placed)
-                if i > 0
-            )
-            return Scene(name, mesh, lighting, objects, free, 0.0, plan.ceiling)
+        if _reaches_all(scene.free_space, plan, placed[0]):
+            return scene
     raise UserError(
         f"{name}: got no home that a robot of radius {robot_radius} m can traverse in {ATTEMPTS} attempts; "
         "use another seed or a smaller radius"
