@@ -1,4 +1,4 @@
-"""List plugins with the options they add: `python -m imagination.plugins [check=true]`."""
+"""List, check or create plugins: `python -m imagination.plugins [check=true | new=NAME]`."""
 
 import sys
 from pathlib import Path
@@ -7,6 +7,7 @@ from omegaconf import DictConfig
 
 from imagination.config import plugin_registry
 from imagination.config.contracts import check_plugin
+from imagination.config.new_plugin import NEXT_STEPS, write_plugin
 from imagination.runs.command import command
 from imagination.utils.code_hash import GROUP
 from imagination.utils.errors import UserError
@@ -16,15 +17,20 @@ def validate(config: DictConfig) -> None:
     """Check the values of the config.
 
     Raises:
-        UserError: if `check` is not a Boolean.
+        UserError: if `check` is not a Boolean, or is true for a new plugin.
     """
     if not isinstance(config.check, bool):
         raise UserError(f"check: got {config.check!r}, expected true or false")
+    if config.check and config.new is not None:
+        raise UserError("check: got true with new=…, expected one of them; check the plugin after it is written")
 
 
 @command("plugins", validate)
 def main(config: DictConfig) -> None:
-    """List all plugins; with `check=true`, import their code and exit with code 1 if one is broken."""
+    """List all plugins, or write a new one; `check=true` imports their code and exits with code 1 if one is broken."""
+    if config.new is not None:
+        print(*write_plugin(config.new), NEXT_STEPS.format(name=config.new), sep="\n")
+        return
     plugin_registry.activate()
     plugins = plugin_registry.discover()
     for plugin in plugins:
