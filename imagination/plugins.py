@@ -22,7 +22,9 @@ def validate(config: DictConfig) -> None:
     if not isinstance(config.check, bool):
         raise UserError(f"check: got {config.check!r}, expected true or false")
     if config.check and config.new is not None:
-        raise UserError("check: got true with new=…, expected one of them; check the plugin after it is written")
+        raise UserError(
+            "check: got true with new=…, expected one of them; check the plugin after it is written"
+        )
 
 
 @command("plugins", validate)

@@ -12,18 +12,14 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes on two cores
 
+import hydra
 import pytest
 import yaml
-
-import imagination.utils.tabular  # its loader extends yaml's parser in Python
-
-yaml.SafeLoader = yaml.CSafeLoader  # for Hydra, which parses thousands of files here: ten times faster
-
-import hydra
 from hydra.core.global_hydra import GlobalHydra
 from jaxtyping import install_import_hook
 from omegaconf import DictConfig
 
+from imagination.utils.tabular import PlainLoader
 from tests.helpers import shape_checker
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,6 +32,11 @@ def shaped_modules() -> list[str]:
 
 
 install_import_hook(shaped_modules(), f"{shape_checker.__name__}.checked")
+
+assert PlainLoader  # defined before the next line, since it extends the parser in Python
+yaml.SafeLoader = (
+    yaml.CSafeLoader
+)  # Hydra parses thousands of files in the tests; libyaml does it in a tenth of the time
 
 _compose = hydra.compose
 

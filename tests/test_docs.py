@@ -109,15 +109,20 @@ def test_python_examples_of_the_mapper_run(
     """The examples with a small untrained unit."""
     from imagination.mapping.map_io import load_layer
 
-    (code,) = (block.code for block in blocks(page) if block.language == "python")
+    code = mapper_example(page)
     assert len(code.splitlines()) < 30
     monkeypatch.chdir(tmp_path)
     (tmp_path / "best.onnx").symlink_to(unit_file)
     write_images(tmp_path)
-    code = code.replace("outputs/chair_unet/latest/checkpoints/best.ckpt", "best.onnx")
     with pytest.warns(UserWarning, match="field of view"):
         exec(compile(code, str(page), "exec"), {})
     assert (load_layer(tmp_path / "my_map" / "map.yaml").layer >= 0).any()
+
+
+def mapper_example(page: Path) -> str:
+    """Return the example of a page that maps images, with best.onnx as its unit."""
+    (code,) = (block.code for block in blocks(page) if "SemanticMapper(" in block.code)
+    return re.sub(r'load\(".*?"\)', 'load("best.onnx")', code)
 
 
 def write_images(folder: Path) -> None:
@@ -130,8 +135,7 @@ def write_images(folder: Path) -> None:
 ISOLATED = """
 import re, sys
 from importlib.metadata import packages_distributions, requires
-from pathlib import Path
-page, allowed, pending = sys.argv[1], set(), sys.argv[2:]
+code, allowed, pending = sys.argv[1], set(), sys.argv[2:]
 while pending:
     name = re.split("[ ;<>=!~(]", pending.pop(), maxsplit=1)[0].lower().replace("_", "-")
     if name not in allowed:
@@ -145,8 +149,7 @@ class Block:
         if module != "imagination" and not owners.get(module, allowed) & allowed:
             raise ImportError("not in the list of the page: " + name)
 sys.meta_path.insert(0, Block())
-(code,) = re.findall(r"```python\\n(.*?)```", Path(page).read_text(), re.DOTALL)
-exec(compile(code, page, "exec"), {})
+exec(compile(code, "example", "exec"), {})
 from imagination.mapping.map_io import load_layer
 assert (load_layer("my_map/map.yaml").layer >= 0).any()
 try:
@@ -160,7 +163,7 @@ def test_the_robot_example_needs_only_the_packages_on_its_page(tmp_path: Path, u
     (packages,) = re.findall(r"pip install (numpy numba .*)", ROBOT.read_text())
     (tmp_path / "best.onnx").symlink_to(unit_file)
     done = subprocess.run(
-        [sys.executable, "-c", ISOLATED, str(ROBOT), *packages.split()],
+        [sys.executable, "-c", ISOLATED, mapper_example(ROBOT), *packages.split()],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,

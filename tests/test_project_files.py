@@ -14,7 +14,17 @@ from tests.conftest import ROOT
 
 GITHUB = ROOT / ".github"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-TREE = ("imagination", "plugins", "conf", "docs", "tests", ".github", "*.md", "pyproject.toml", "requirements.lock")
+TREE = (
+    "imagination",
+    "plugins",
+    "conf",
+    "docs",
+    "tests",
+    ".github",
+    "*.md",
+    "pyproject.toml",
+    "requirements.lock",
+)
 TEXT = {".py", ".md", ".yaml", ".yml", ".toml", ".lock", ".txt", ".j2"}
 
 
@@ -44,7 +54,8 @@ def test_the_citation_has_the_required_keys_of_its_format() -> None:
 def test_the_workflow_runs_the_commands_of_developers() -> None:
     workflow = load(GITHUB / "workflows" / "test.yml")
     commands = {
-        name: [step["run"] for step in job["steps"] if "run" in step] for name, job in workflow["jobs"].items()
+        name: [step["run"] for step in job["steps"] if "run" in step]
+        for name, job in workflow["jobs"].items()
     }
     assert commands == {"test": ["make test"], "docs": ["make docs"]}
     assert {"push", "pull_request"} <= workflow[True].keys()  # YAML 1.1 reads the key `on` as a Boolean

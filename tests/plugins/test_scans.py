@@ -392,9 +392,7 @@ def test_a_mesh_without_a_floor_is_reported(tmp_path: Path) -> None:
 def test_a_wrong_folder_is_reported(tmp_path: Path, name: str) -> None:
     with pytest.raises(UserError, match=r"data\.scenes\.folder: got .*/none"):
         source(tmp_path, f"data/scenes={name}", f"data.scenes.folder={tmp_path}/none")
-    message = (
-        "pip install -e '\\.\\[scenezoo\\]'|found no" if name == "scannet" else "found no .* expected"
-    )
+    message = "pip install -e '\\.\\[scenezoo\\]'|found no" if name == "scannet" else "found no .* expected"
     with pytest.raises(UserError, match=message):
         read(tmp_path, name)
 

@@ -253,9 +253,9 @@ class Soak:
         """Return lines on the mapping thread and the background commands."""
         first, last = self.rounds[0], self.rounds[-1]
         return [
-            f"Meanwhile one process rendered and mapped the same {VIEWS} views {passes} times with identical images and",
-            f"map; its memory was {first[THIS_PROCESS]:.0f} MB in the first round and {last[THIS_PROCESS]:.0f} MB in the "
-            "last. Background commands:",
+            f"Meanwhile one process rendered and mapped the same {VIEWS} views {passes} times with identical images",
+            f"and map; its memory was {first[THIS_PROCESS]:.0f} MB in the first round and "
+            f"{last[THIS_PROCESS]:.0f} MB in the last. Background commands:",
             "",
             *(
                 f"- {command.name}: {first[command.name]:.0f} MB with its workers after {command.steps[0]} "
