@@ -136,6 +136,7 @@ def test_views_are_spread_over_the_map_and_inside_it(cells: int) -> None:
     assert min(np.ptp([pose.x for pose in poses]), np.ptp([pose.y for pose in poses])) > 0.9 * side
 
 
+@pytest.mark.slow
 def test_public_methods_give_our_maps() -> None:
     """The checks of `make bench` before timing."""
     maps.check_padded(views=3)

@@ -76,9 +76,9 @@ def test_every_command_has_a_console_script() -> None:
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
-        ("prepare_shards", ["--help"]),
-        ("evaluate", ["seed=3", "--cfg", "all"]),
-        ("report", ["folder=nowhere"]),
+        pytest.param("prepare_shards", ["--help"], marks=pytest.mark.slow),
+        pytest.param("evaluate", ["seed=3", "--cfg", "all"], marks=pytest.mark.slow),
+        pytest.param("report", ["folder=nowhere"], marks=pytest.mark.slow),
         ("plugins", []),
     ],
 )
@@ -113,8 +113,8 @@ printf '%s\\n' "${{COMPREPLY[@]}}"
     [
         ("imagination-train +experiment=chair_", {"+experiment=chair_best", "+experiment=chair_unet"}),
         ("imagination-train scale=test data/scenes=b", {"data/scenes=box_rooms"}),
-        ("imagination-report fol", {"folder="}),
-        ("imagination-report folder=./ru", {"folder=./run"}),
+        pytest.param("imagination-report fol", {"folder="}, marks=pytest.mark.slow),
+        pytest.param("imagination-report folder=./ru", {"folder=./run"}, marks=pytest.mark.slow),
     ],
 )
 def test_bash_completes_groups_options_and_keys(

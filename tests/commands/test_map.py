@@ -162,7 +162,10 @@ def test_user_errors_get_one_message(command_in_process: Command, arguments: lis
     assert message in " ".join(done.stderr.split())
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow), (signal.SIGTERM, 143)],
+)
 def test_a_signal_saves_the_map(
     tmp_path: Path, unit_file: Path, frames: list[RecordedFrame], number: int, code: int
 ) -> None:

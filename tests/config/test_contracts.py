@@ -123,7 +123,9 @@ class Backbone:
     if assigned == "width":
         check_contracts(config)
     else:
-        with pytest.raises(UserError, match=rf"model.backbone: got {name}.Backbone, .*width.*backbones.Backbone"):
+        with pytest.raises(
+            UserError, match=rf"model.backbone: got {name}.Backbone, .*width.*backbones.Backbone"
+        ):
             check_contracts(config)
 
 

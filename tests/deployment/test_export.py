@@ -48,7 +48,8 @@ def files(tmp_path_factory: pytest.TempPathFactory, unit_file: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", [pytest.param("both.onnx", marks=pytest.mark.slow), "both.pt2"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["both.onnx", "both.pt2"])
 def test_predictions_equal_those_of_pytorch(files: Path, name: str) -> None:
     if name == "both.onnx":
         checkpoints = [Checkpoint.read(files / f"{category}.ckpt") for category in ("chair", "bed")]

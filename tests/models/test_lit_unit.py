@@ -120,7 +120,7 @@ def test_a_loss_that_needs_the_whole_batch_is_refused_with_micro_batches() -> No
         trainer.fit(module, datamodule=MicroBatches())
 
 
-@pytest.mark.parametrize("kind", [ImaginationUnit, ProjectedUnit])
+@pytest.mark.parametrize("kind", [ImaginationUnit, pytest.param(ProjectedUnit, marks=pytest.mark.slow)])
 def test_a_unit_can_overfit_one_batch(kind: type) -> None:
     module = training(kind)
     batch = random_batch(4, 32, 17)

@@ -1,6 +1,9 @@
 """Contract of units, for every unit, backbone and encoder of the configuration."""
 
+from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,9 +38,15 @@ def batch_for(**sizes: int) -> dict[str, torch.Tensor]:
     return random_batch(**({"size": 48, "cells": 31} | sizes))
 
 
-@pytest.mark.parametrize("encoder", ENCODERS)
-@pytest.mark.parametrize("backbone", BACKBONES)
-@pytest.mark.parametrize("variant", VARIANTS)
+def combinations() -> Iterator[Any]:
+    """Every unit, backbone and encoder once with the default of the others; all combinations are slow."""
+    default = "unit", "unet", "resnet18"
+    for combination in product(VARIANTS, BACKBONES, ENCODERS):
+        differences = sum(part != usual for part, usual in zip(combination, default, strict=True))
+        yield pytest.param(*combination, marks=[pytest.mark.slow] if differences > 1 else [])
+
+
+@pytest.mark.parametrize(("variant", "backbone", "encoder"), combinations())
 def test_unit_fulfils_its_contract(variant: str, backbone: str, encoder: str) -> None:
     unit = build(f"model={variant}", f"model/backbone={backbone}", *ENCODERS[encoder])
     batch = batch_for()

@@ -74,7 +74,7 @@ def test_one_process_collects_as_before(tmp_path: Path) -> None:
         (["data.batch_size=5"], "data.batch_size: got 5 "),
         (["data.splits.train=1"], "data.splits.train: got 1 "),
         (["data.eval_views.val=1"], "data.eval_views.val: got 1 "),
-        (["seed=1,2", "--multirun"], "trainer.devices: got 2 "),
+        pytest.param(["seed=1,2", "--multirun"], "trainer.devices: got 2 ", marks=pytest.mark.slow),
     ],
 )
 def test_sizes_that_cannot_be_split_are_refused(

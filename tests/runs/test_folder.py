@@ -80,6 +80,7 @@ def test_a_full_disk_is_reported(tmp_path: Path, number: int) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_checkpoint_on_a_full_disk_is_reported_and_keeps_the_old_one(tmp_path: Path) -> None:
     code = f"""
 import resource, torch

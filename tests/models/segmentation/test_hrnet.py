@@ -79,6 +79,7 @@ def test_images_of_any_size_work(size: tuple[int, int], enlarge: float, expected
         assert network(torch.zeros(1, 3, *size, dtype=torch.uint8)).shape == (1, 3, *expected)
 
 
+@pytest.mark.slow
 def test_a_network_can_overfit_one_batch_and_segmenting_has_no_side_effects() -> None:
     trained, views = module(), batch()
     optimizer = trained.configure_optimizers()["optimizer"]

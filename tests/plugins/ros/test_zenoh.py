@@ -42,6 +42,7 @@ def wait(arrived: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_a_robot_in_another_process(tmp_path: Path, unit_file: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
