@@ -55,8 +55,8 @@ def write_plugin(name: object) -> list[Path]:
             os.rename(Path(scratch, valid), folder)
     except OSError as error:
         raise CannotWriteError(
-            f"new: could not write {folder}: {error.strerror or error}; free some space, or run the command in a folder "
-            "in which you may write"
+            f"new: could not write {folder}: {error.strerror or error}; free some space, or run the command in a "
+            "folder in which you may write"
         ) from error
     return [folder / path for path in texts]
 
@@ -102,13 +102,17 @@ def rendered(name: str) -> dict[str, str]:
 def _check_unused(name: str, folder: Path, paths: Iterable[str]) -> None:
     """Check that no file, plugin, option or package has a name of the new plugin."""
     if os.path.lexists(folder):
-        raise UserError(f"new: got {name!r}, but {folder} exists, expected the name of a new folder; choose another name")
+        raise UserError(
+            f"new: got {name!r}, but {folder} exists, expected the name of a new folder; choose another name"
+        )
     plugins = discover()
     owners = dict.fromkeys(options_of(core_conf()), "the core")
     owners |= {option: plugin.origin for plugin in plugins for option in plugin.options}
     for plugin in plugins:
         if plugin.name == name:
-            raise UserError(f"new: got {name!r}, the name of the plugin in {plugin.origin}; choose another name")
+            raise UserError(
+                f"new: got {name!r}, the name of the plugin in {plugin.origin}; choose another name"
+            )
     for option in (path.removeprefix("conf/").removesuffix(".yaml") for path in paths):
         if option in owners:
             raise UserError(

@@ -265,7 +265,7 @@ def test_first_steps_at_paper_scale_on_a_cpu(command: Command, tmp_path: Path) -
 
 @pytest.mark.slow
 def test_an_installed_wheel_runs(tmp_path: Path) -> None:
-    """The wheel contains conf; outputs are written to the current folder."""
+    """The wheel contains conf and the template of plugins; outputs are written to the current folder."""
     site, work = tmp_path / "site", tmp_path / "work"
     work.mkdir()
     install = "-m pip install --quiet --no-deps --no-build-isolation --no-index --target".split()
@@ -276,3 +276,6 @@ def test_an_installed_wheel_runs(tmp_path: Path) -> None:
     job = [sys.executable, "-m", "imagination.train", "+experiment=chair_unet", "scale=test"]
     subprocess.run(job, cwd=work, env=environment, check=True, timeout=300)
     assert (work / "outputs" / "chair_unet" / "latest" / "tables" / "mapping.csv").is_file()
+    job = [sys.executable, "-m", "imagination.plugins", "new=mine"]
+    subprocess.run(job, cwd=work, env=environment, check=True, timeout=60)
+    assert (work / "plugins" / "mine" / "imagination_mine" / "losses.py").is_file()

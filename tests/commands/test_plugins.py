@@ -32,6 +32,18 @@ def test_their_code_is_checked_on_request(command: Command, broken_plugin: None)
     assert done.returncode == 1 and "no_such_package" in done.stdout
 
 
+def test_a_new_plugin_is_written(command: Command, tmp_path: Path) -> None:
+    done = command("plugins", "new=mine")
+    assert done.returncode == 0, done.stderr
+    written = [line for line in done.stdout.splitlines() if line.startswith("plugins/mine/")]
+    assert "plugins/mine/imagination_mine/losses.py" in written
+    assert all((tmp_path / line.split()[0]).is_file() for line in written)
+    assert "python -m imagination.plugins check=true" in done.stdout
+    assert "mine  (folder" in command("plugins").stdout
+    again = command("plugins", "new=mine")
+    assert again.returncode == 2 and "new: got 'mine'" in again.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [(["deep=true"], "deep"), (["check=maybe"], "check: got 'maybe'"), (["-m"], "-m: ")],

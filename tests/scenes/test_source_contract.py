@@ -46,6 +46,11 @@ def scene(source: SceneSource) -> Scene:
 
 @pytest.fixture(scope="module")
 def images(scene: Scene) -> list[tuple[Pose, Image]]:
+    return rendered(scene)
+
+
+def rendered(scene: Scene) -> list[tuple[Pose, Image]]:
+    """Render a scene from random poses."""
     renderer = renderer_of(scene)
     poses = sample_poses(scene.free_space, 24, np.random.default_rng(5))
     return [(pose, renderer.render(CAMERA, CAMERA.to_world(pose, scene.floor_height))) for pose in poses]
