@@ -10,10 +10,10 @@ from tensorboard.compat.proto.event_pb2 import Event
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
-from imagination.evaluation.record_files import COLUMNS, PIXELS, write_scenes
+from imagination.evaluation.record_files import COLUMNS, PIXELS, TRIAL_KEY, write_scenes
 from imagination.report import read
 from imagination.reporting.html import drawings
-from imagination.reporting.load_run import MAX_RESAMPLES, TRIAL, Results
+from imagination.reporting.load_run import MAX_RESAMPLES, Results
 from imagination.utils.errors import UserError
 from imagination.utils.tabular import csv_text
 from tests.helpers.run_folders import make_config, make_folder, read_about, set_command, write_about
@@ -54,11 +54,11 @@ def test_a_category_without_trials_is_reported(tmp_path: Path) -> None:
 
 def test_without_its_records_an_evaluation_is_counted_from_the_maps_so_far(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "run")
-    whole = Results(folder).trials.set_index(TRIAL)
+    whole = Results(folder).trials.set_index(list(TRIAL_KEY))
     (folder / "records" / "trials.csv").unlink()
     (folder / "maps" / "test_0002_2m_1.npz").unlink()
     results = Results(folder)
-    counted = results.trials.set_index(TRIAL)
+    counted = results.trials.set_index(list(TRIAL_KEY))
     assert len(counted) == len(whole) - 8
     columns = list(PIXELS)
     assert (counted[columns] == whole.loc[counted.index, columns]).all(axis=None)
