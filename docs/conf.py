@@ -45,6 +45,10 @@ python_use_unqualified_type_names = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False
+napoleon_use_ivar = True  # attributes as fields of their class, not twice
+napoleon_attr_annotations = False  # shapes such as "*b v v" are no reStructuredText
+autodoc_inherit_docstrings = False  # those of Lightning have labels of their own site
+suppress_warnings = ["ref.python"]  # a name in backticks that several classes have links to one of them
 
 # Without network by default; `make docs INTERSPHINX=1` adds links to these projects.
 intersphinx_mapping = (

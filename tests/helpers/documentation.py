@@ -14,7 +14,6 @@ ROOT = Path(__file__).resolve().parents[2]
 
 PAGES = [
     ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
     *sorted(path for path in (ROOT / "docs").rglob("*.md") if "results" not in path.parts),
 ]
 """Pages that people write; pages of results are generated."""
