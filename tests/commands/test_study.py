@@ -82,8 +82,8 @@ def test_the_newest_finished_run_of_the_same_config_counts(tmp_path: Path, calle
     "other",
     [
         "trainer.max_epochs=1",
-        "trainer.fast_dev_run=true",
-        "callbacks.replay_buffer.update_batches=1",
+        pytest.param("trainer.fast_dev_run=true", marks=pytest.mark.slow),
+        pytest.param("callbacks.replay_buffer.update_batches=1", marks=pytest.mark.slow),
         "evaluation.viewpoint_sets=2",  # the evaluation would inherit it from the run
     ],
 )

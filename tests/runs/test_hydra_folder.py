@@ -103,8 +103,8 @@ def sweep(*overrides: str, name: str = "train") -> Path:
     [
         (["experiment=chair_unet", "seed=1,2"], "outputs/chair_unet"),
         (["experiment=chair_unet,bed_unet"], "outputs"),
-        (["name=a,b"], "outputs"),
-        (["model=unit,projected"], "outputs/custom"),
+        pytest.param(["name=a,b"], "outputs", marks=pytest.mark.slow),
+        pytest.param(["model=unit,projected"], "outputs/custom", marks=pytest.mark.slow),
     ],
 )
 def test_a_sweep_has_one_folder(in_hydra: None, overrides: list[str], parent: str) -> None:
