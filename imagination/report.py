@@ -9,6 +9,8 @@ docs/results/study/, instead.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +36,13 @@ def validate(config: DictConfig) -> None:
         )
     for key in ("docs", "output"):
         value = config[key]
-        if value is not None and (Path(str(value)).is_file() or Path(str(value)).suffix == ".md"):
+        if value is None:
+            continue
+        if not str(value).strip() or (key == "docs" and Path(str(value)).name in ("", "..")):
+            raise UserError(f"{key}: got {value!r}, expected the name of a folder, such as {key}=my_report")
+        with access_reported(key, value):
+            is_file = Path(str(value)).is_file()
+        if is_file or Path(str(value)).suffix == ".md":
             raise UserError(f"{key}: got {value}, expected a folder; leave the file name out")
     if config.docs is not None and config.output is not None:
         raise UserError(
@@ -53,7 +61,8 @@ def write(folder: Path, docs: Path | None = None, output: Path | None = None) ->
     """Write the report on a results folder into that folder or another one, or as a page of the documentation."""
     from imagination.reporting import html, markdown
 
-    content = read(folder)
+    with access_reported("folder", folder):
+        content = read(folder)
     try:
         page = markdown.write(docs, content) if docs else html.write(output or folder, content)
     except CannotWriteError as error:
@@ -63,6 +72,21 @@ def write(folder: Path, docs: Path | None = None, output: Path | None = None) ->
     for problem in content.problems:
         print(f"incomplete: {problem}", file=sys.stderr)
     print(f"Report: {page}", file=sys.stderr)
+
+
+@contextmanager
+def access_reported(key: str, value: object) -> Iterator[None]:
+    """Report a path that cannot be accessed, e.g. without permission or with a name that is too long.
+
+    Raises:
+        UserError: with the key and the path.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise UserError(
+            f"{key}: got {value}, which cannot be accessed ({error.strerror or error}); choose another folder"
+        ) from error
 
 
 def read(folder: Path) -> Content:

@@ -31,7 +31,10 @@ def test_the_config_reference_is_up_to_date() -> None:
     assert page.read_text() == made, "run: python docs/configuration.py"
 
 
-@pytest.mark.parametrize("page", [*PAGES, *(ROOT / "docs" / "results").glob("*.md")], ids=name_of)
+OTHERS = [ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *(ROOT / "docs" / "results").glob("*.md")]
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OTHERS], ids=name_of)
 def test_links_exist(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:|#)([^)#]+)(?:#[^)]*)?\)", page.read_text()):
         assert (page.parent / target).exists(), f"{page} links to {target}"
@@ -69,9 +72,17 @@ def test_commands_of_every_page_compose(page: Path) -> None:
 
 
 def check_commands(page: Path) -> None:
-    """Check that the config of each command of a page can be composed, with the first value of each sweep."""
-    for block in blocks(page):
+    """Check that the config of each command of a page can be composed, with the first value of each sweep.
+
+    Commands with shell variables or with options of a plugin that the page describes are left out.
+    """
+    found_blocks = list(blocks(page))
+    own = re.compile(r"^# plugins/\w+/conf/(?:\S+/)?(\w+)\.yaml", re.MULTILINE)
+    options = {name for block in found_blocks for name in own.findall(block.code)}
+    for block in found_blocks:
         for command in commands(block) if block.language == "bash" else []:
+            if "$" in command or options & set(re.findall(r"\w+", command)):
+                continue
             if found := re.match(r"(?:python -m imagination\.|imagination-)([\w-]+)(.*)", command):
                 words = [word for word in shlex.split(found[2]) if not word.startswith("-")]
                 compose(found[1].replace("-", "_"), [first_value(word) for word in words])
@@ -110,7 +121,7 @@ def test_python_examples_of_the_mapper_run(
     from imagination.mapping.map_io import load_layer
 
     code = mapper_example(page)
-    assert len(code.splitlines()) < 30
+    assert len(code.splitlines()) < (15 if page.name == "README.md" else 30)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "best.onnx").symlink_to(unit_file)
     write_images(tmp_path)

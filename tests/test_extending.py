@@ -19,6 +19,7 @@ from torch.utils.data import DataLoader
 
 from imagination.config.compose import compose
 from imagination.config.contracts import check_contracts
+from imagination.config.new_plugin import write_plugin
 from imagination.config.validation import validate
 from imagination.geometry.grid import EgoGrid, Grid
 from imagination.geometry.pose import Pose
@@ -74,12 +75,15 @@ COMMANDS = [words for section in SECTIONS.values() for words in section.commands
 def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Write the plugin of the page; yield its folder, in plugins/ of the current directory."""
     folder = tmp_path_factory.mktemp("extending")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        write_plugin("mine")  # the first command of the page
     for section in SECTIONS.values():
         for path, text in section.files.items():
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_text(text)
     root = folder / "plugins" / "mine"
-    (root / PACKAGE / "__init__.py").touch()
+    assert (root / PACKAGE / "__init__.py").is_file()
     with pytest.MonkeyPatch.context() as patch, new_process(root):
         patch.chdir(folder)
         yield root

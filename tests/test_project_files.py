@@ -60,7 +60,8 @@ def test_the_workflow_runs_the_commands_of_developers() -> None:
     assert commands == {"test": ["make test"], "docs": ["make docs"]}
     assert {"push", "pull_request"} <= workflow[True].keys()  # YAML 1.1 reads the key `on` as a Boolean
     lowest = PROJECT["requires-python"].removeprefix(">=")
-    assert workflow["jobs"]["test"]["strategy"]["matrix"]["python"][0] == lowest
+    tested = workflow["jobs"]["test"]["strategy"]["matrix"]["python"]
+    assert tested[0] == lowest and int(tested[-1].split(".")[1]) > int(lowest.split(".")[1])
 
 
 @pytest.mark.parametrize("name", ["bug_report", "feature_request"])

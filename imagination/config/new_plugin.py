@@ -19,6 +19,9 @@ TEMPLATE = Path(__file__).with_name("plugin_template")
 SUFFIX = ".j2"
 """Suffix of the files of the template."""
 
+VALUES = ("true", "false", "null", "nan", "inf")
+"""Words that Hydra reads as values instead of text."""
+
 MAX_LENGTH = 40
 """Maximum length of the name of a plugin, characters."""
 
@@ -71,7 +74,7 @@ def check_plugin_name(name: object) -> str:
         return name
     raise UserError(
         f"new: got {name!r}, expected at most {MAX_LENGTH} lower-case letters (a to z), digits and single underscores, "
-        f"beginning with a letter, and no keyword of Python; try new={similar_name(str(name))}"
+        f"beginning with a letter, and no keyword of Python or value such as true; try new={similar_name(str(name))}"
     )
 
 
@@ -84,7 +87,7 @@ def similar_name(text: str) -> str:
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z0-9]+", plain)
     name = "_".join(words).lower().lstrip("0123456789_")[:MAX_LENGTH].rstrip("_") or "my_plugin"
-    return f"{name}_plugin" if keyword.iskeyword(name) else name
+    return f"{name}_plugin" if keyword.iskeyword(name) or name in VALUES else name
 
 
 def rendered(name: str) -> dict[str, str]:
@@ -118,7 +121,8 @@ def _check_unused(name: str, folder: Path, paths: Iterable[str]) -> None:
             raise UserError(
                 f"new: got {name!r}, whose option {option!r} exists already in {owners[option]}; choose another name"
             )
-    if find_spec(f"imagination_{name}") is not None:
+    packages = {package for plugin in plugins for package in plugin.packages}
+    if f"imagination_{name}" in packages or find_spec(f"imagination_{name}") is not None:
         raise UserError(
             f"new: got {name!r}, but the package imagination_{name} is installed already; choose another name"
         )

@@ -19,6 +19,8 @@ def best_setting(sweep: Multirun) -> tuple[Setting, float] | None:
     The score is that of the ranking approach. None if a setting has no score, or other categories, cell widths or
     ground truth than the others, or all scores are equal.
     """
+    if not sweep.settings:
+        return None
     approach = ranked_by(sweep.approaches)
     columns = [set(setting.trials.groupby(["category", "cell_width"]).groups) for setting in sweep.settings]
     if any(each != columns[0] for each in columns) or not all(map(partial(comparable, sweep), sweep.columns)):

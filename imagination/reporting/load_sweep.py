@@ -135,12 +135,12 @@ class Multirun:
             grouped.setdefault(tuple(values.values()), Setting(values, [])).jobs.append(job)
         return list(grouped.values())
 
-    @property
+    @cached_property
     def approaches(self) -> list[str]:
         """Names of the evaluated approaches of all settings."""
         return list(dict.fromkeys(name for setting in self.settings for name in setting.trials["approach"]))
 
-    @property
+    @cached_property
     def columns(self) -> list[Column]:
         """Cell widths and categories of all settings, widest first."""
         trials = pd.concat([setting.trials for setting in self.settings])

@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from errno import EACCES, EDQUOT, EFBIG, ENOSPC, ENOTDIR, EROFS
+from errno import EACCES, EDQUOT, EEXIST, EFBIG, EISDIR, ELOOP, ENAMETOOLONG, ENOSPC, ENOTDIR, EROFS
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,9 @@ PART_NAME = re.compile(rf"\.(?P<target>.+)\.\w+{re.escape(PART)}")
 
 STALE_SECONDS = 60.0
 """Age above which a temporary folder that no process holds was left by a process that was killed."""
+
+BLOCKED = (ENOSPC, EDQUOT, EFBIG, EACCES, EROFS, ENOTDIR, EISDIR, EEXIST, ENAMETOOLONG, ELOOP)
+"""Errors of a full or read-only disk, and of files or names in the way."""
 
 
 @contextmanager
@@ -59,7 +62,7 @@ def write_errors_reported(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in (ENOSPC, EDQUOT, EFBIG, EACCES, EROFS, ENOTDIR):
+        if error.errno not in BLOCKED:
             raise
         raise CannotWriteError(
             f"could not write {path}: {error.strerror}; free some space or set paths.outputs and paths.cache to "

@@ -24,8 +24,8 @@ def first_of(names: Sequence[str], limit: int = 5) -> str:
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra of this project, in its checkout or from its wheel."""
-    return f"pip install -e '.[{extra}]' (in the checkout; with a wheel: pip install 'FILE.whl[{extra}]')"
+    """Return the command that installs an extra of this project, in its checkout."""
+    return f"pip install -e '.[{extra}]'"
 
 
 def require_extra(package: str, extra: str) -> None:
@@ -35,7 +35,10 @@ def require_extra(package: str, extra: str) -> None:
         UserError: if it is missing, with the command that installs it.
     """
     if find_spec(package) is None:
-        raise UserError(f"{package}: not installed; install it with: {install_command(extra)}")
+        raise UserError(
+            f"{package}: not installed; in the checkout run {install_command(extra)} (with a wheel: "
+            f"pip install 'FILE.whl[{extra}]')"
+        )
 
 
 def check_range(

@@ -132,7 +132,8 @@ def test_a_valid_name_is_accepted(name: str) -> None:
         ("…", "my_plugin"),
         ("a" * (MAX_LENGTH + 1), "a" * MAX_LENGTH),
         (3, "my_plugin"),
-        (True, "true"),
+        (True, "true_plugin"),
+        ("inf", "inf_plugin"),
     ],
 )
 def test_an_invalid_name_is_refused_with_a_similar_one(folder: Path, name: object, similar: str) -> None:
