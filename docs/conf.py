@@ -3,6 +3,7 @@
 import os
 import tomllib
 from pathlib import Path
+from typing import Any
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
 
@@ -67,3 +68,14 @@ html_title = f"imagination {release}"
 html_theme_options = {"sidebar_hide_name": False}
 html_show_sphinx = False
 pygments_style = "friendly"
+
+
+def keep_colons(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Begin the docstring of a constant with an empty line, so that napoleon takes no "text: more" for a type."""
+    if what in ("data", "attribute", "property"):
+        lines.insert(0, "")
+
+
+def setup(app: Any) -> None:
+    """Register the handler of docstrings before that of napoleon, whose priority is 500."""
+    app.connect("autodoc-process-docstring", keep_colons, priority=400)

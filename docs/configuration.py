@@ -82,7 +82,7 @@ def page() -> str:
     parts = [HEAD, keys(), "\n# Files\n"]
     for path in files:
         name = path.relative_to(ROOT / "conf").with_suffix("").as_posix()
-        parts.append(f"## {name}\n\n```yaml\n{path.read_text().rstrip()}\n```\n")
+        parts.append(f"### {name}\n\n```yaml\n{path.read_text().rstrip()}\n```\n")
     return "\n".join(parts)
 
 
