@@ -79,7 +79,7 @@ def page() -> str:
         (path for path in (ROOT / "conf").rglob("*.yaml") if path.parent.name != "local"),
         key=lambda path: (len(path.relative_to(ROOT).parts) > 2, path),
     )
-    parts = [HEAD, keys(), "\n# Files\n"]
+    parts = [HEAD, keys(), "\n## Files\n"]
     for path in files:
         name = path.relative_to(ROOT / "conf").with_suffix("").as_posix()
         parts.append(f"### {name}\n\n```yaml\n{path.read_text().rstrip()}\n```\n")
