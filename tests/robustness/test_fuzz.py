@@ -2,11 +2,12 @@
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,13 +18,19 @@ from tests.robustness.parsers import PARSERS, Parser
 MEBIBYTE = 2**20
 
 
-@pytest.mark.parametrize("parser", PARSERS, ids=[parser.name for parser in PARSERS])
+def parsers() -> Iterator[Any]:
+    """Every parser; those that make a whole report need seconds for each file, and tests/reporting reads such files."""
+    for parser in PARSERS:
+        marks = [pytest.mark.slow] if parser.name.startswith(("results-", "sweep-")) else []
+        yield pytest.param(parser, id=parser.name, marks=marks)
+
+
+@pytest.mark.parametrize("parser", parsers())
 def test_damaged_files_get_documented_errors_only(parser: Parser, tmp_path: Path) -> None:
     for number, example in enumerate(parser.examples()):
         (tmp_path / str(number)).write_bytes(example)
         parser.parse(tmp_path / str(number))
-    whole_reports = parser.name.startswith(("results-", "sweep-"))  # seconds for each file
-    check_parser(parser, 1 if whole_reports else 3, 0, tmp_path / "damaged")
+    check_parser(parser, 3, 0, tmp_path / "damaged")
 
 
 @pytest.mark.parametrize(

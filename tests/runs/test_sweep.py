@@ -149,7 +149,9 @@ def test_sweeps_of_evaluation_settings_never_train(command_in_process: Command, 
     assert not list(tmp_path.rglob("config.yaml"))
 
 
-@pytest.mark.parametrize("name", SWEEPS)
+@pytest.mark.parametrize(
+    "name", [*SWEEPS[:2], *(pytest.param(name, marks=pytest.mark.slow) for name in SWEEPS[2:])]
+)
 def test_ready_made_sweeps_compose(name: str) -> None:
     """Every value of every sweep composes, and values of a key differ."""
     hydra = yaml.safe_load((ROOT / "conf" / "sweep" / f"{name}.yaml").read_text())["hydra"]
