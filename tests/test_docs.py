@@ -75,14 +75,14 @@ def test_commands_of_every_page_compose(page: Path) -> None:
 def check_commands(page: Path) -> None:
     """Check that the config of each command of a page can be composed, with the first value of each sweep.
 
-    Commands with shell variables or with options of a plugin that the page describes are left out.
+    Commands with shell variables, placeholders, or options of a plugin that the page describes are left out.
     """
     found_blocks = list(blocks(page))
     own = re.compile(r"^# plugins/\w+/conf/(?:\S+/)?(\w+)\.yaml", re.MULTILINE)
     options = {name for block in found_blocks for name in own.findall(block.code)}
     for block in found_blocks:
         for command in commands(block) if block.language == "bash" else []:
-            if "$" in command or options & set(re.findall(r"\w+", command)):
+            if set("$<") & set(command) or options & set(re.findall(r"\w+", command)):
                 continue
             if found := re.match(r"(?:python -m imagination\.|imagination-)([\w-]+)(.*)", command):
                 words = [word for word in shlex.split(found[2]) if not word.startswith("-")]
