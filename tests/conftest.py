@@ -112,13 +112,25 @@ def example_plugin(tmp_path: Path) -> Iterator[Path]:
     yield folder
 
 
+EXPORT = """
+import sys
+from pathlib import Path
+from imagination.deployment.export import export
+from imagination.runs.checkpoint import Checkpoint
+from tests.helpers.checkpoints import make_checkpoint, samples
+folder = Path(sys.argv[1])
+checkpoint = Checkpoint.read(make_checkpoint(folder / "chair.ckpt", threshold=0.55))
+export([checkpoint], folder / "chair.onnx", "onnx", "float32", samples(1))
+"""
+
+
 @pytest.fixture(scope="session")
 def unit_file(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
-    """Export a small untrained unit for chairs to ONNX, once for all processes of the tests."""
-    from imagination.deployment.export import export
-    from imagination.runs.checkpoint import Checkpoint  # imports torch, which few tests need
+    """Export a small untrained unit for chairs to ONNX, once for all processes of the tests.
+
+    A process of its own checks no shapes, which would take most of the time.
+    """
     from imagination.utils.file_lock import locked_file
-    from tests.helpers.checkpoints import make_checkpoint, samples
 
     base = tmp_path_factory.getbasetemp()
     shared = base if worker_id == "master" else base.parent
@@ -126,6 +138,7 @@ def unit_file(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
     with locked_file(shared / ".unit.lock"):
         if not (folder / "chair.onnx").is_file():
             folder.mkdir(exist_ok=True)
-            checkpoint = Checkpoint.read(make_checkpoint(folder / "chair.ckpt", threshold=0.55))
-            export([checkpoint], folder / "chair.onnx", "onnx", "float32", samples(1))
+            environment = os.environ | {"PYTHONPATH": str(ROOT)}
+            words = [sys.executable, "-c", EXPORT, str(folder)]
+            subprocess.run(words, cwd=ROOT, env=environment, check=True, capture_output=True)
     return folder / "chair.onnx"

@@ -44,6 +44,7 @@ EXAMPLES = (
     *("Update rule", "Callback", "Category", "Sensor"),
 )
 MAX_LINES = 29
+FAST = "ground_truth.spacing=2.0"  # fewer viewpoints of the ground truth
 
 
 class Section(NamedTuple):
@@ -196,7 +197,7 @@ def test_a_part_of_the_network_is_trained(plugin: Path, title: str) -> None:
     torch.manual_seed(0)
     task: LitUnit = instantiate(training(title).model.module)
     assert any(type(part).__module__.startswith(PACKAGE) for part in [*task.modules(), task.loss])
-    batch = random_batch(views=4, size=48, cells=31)
+    batch = random_batch(size=48, cells=31)
     optimizer = task.configure_optimizers()["optimizer"]
     losses = []
     for _ in range(8):
@@ -273,7 +274,7 @@ def test_the_callback_logs_the_norm_of_the_gradients(plugin: Path) -> None:
 
 
 def test_the_category_is_in_the_views(plugin: Path) -> None:
-    config = composed("train", *SECTIONS["Category"].command("train"), "data.splits.train=9")
+    config = composed("train", *SECTIONS["Category"].command("train"), "data.splits.train=9", FAST)
     by_command_line = composed("render", *SECTIONS["Category"].command("render")).categories.sofa
     assert by_command_line.aliases.procedural == config.categories.sofa.aliases.procedural
     observer: Observer = instantiate(config.data.observer)
@@ -288,7 +289,7 @@ def test_the_category_is_in_the_views(plugin: Path) -> None:
 
 
 def test_the_sensor_and_the_camera_change_the_views(plugin: Path) -> None:
-    words = training_words("Sensor", "Scene source")
+    words = [*training_words("Sensor", "Scene source"), FAST]
     noisy: Observer = instantiate(composed("train", *words).data.observer)
     ideal: Observer = instantiate(composed("train", *words, "sensor=ideal").data.observer)
     camera = noisy.camera

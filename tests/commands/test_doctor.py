@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from tests.conftest import Command
 
 
@@ -15,6 +17,7 @@ def test_the_doctor_reports_on_the_machine_and_the_plugins(command: Command, tmp
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_check_that_fails_is_a_finding(command: Command, tmp_path: Path) -> None:
     conf = tmp_path / "plugins" / "broken" / "conf" / "doctor"
     conf.mkdir(parents=True)

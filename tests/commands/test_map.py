@@ -106,6 +106,7 @@ def test_the_map_before_a_corrupt_image_is_saved(
     assert sum(obj.area for obj in found) > sum(obj.area for obj in at(maps, 0.55).objects())
 
 
+@pytest.mark.slow
 def test_the_map_has_the_frame_of_the_recording_and_survives_a_viewer_that_breaks(
     command: Command, tmp_path: Path, unit_file: Path, frames: list[RecordedFrame]
 ) -> None:

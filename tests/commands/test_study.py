@@ -195,6 +195,7 @@ def test_sweeps_are_refused(command_in_process: Command, word: str) -> None:
     assert done.returncode == 2 and "-m: imagination.study " in done.stderr
 
 
+@pytest.mark.slow
 def test_settings_of_the_segmentation_network_retrain_no_unit() -> None:
     values = training_config("segmentation_hrnet", OVERRIDES).hrnet
     hrnet = [f"hrnet.{key}={2 * value}" for key, value in values.items() if key != "network"]

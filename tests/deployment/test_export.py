@@ -114,6 +114,7 @@ def test_metadata_of_the_file(files: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_it_maps_as_the_checkpoint_does(files: Path) -> None:
     ours, theirs = SemanticMapper(load(files / "chair.onnx")), SemanticMapper(load(files / "chair.ckpt"))
     for frame in frames():

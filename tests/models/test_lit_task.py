@@ -90,6 +90,7 @@ def test_loading_unpickles_nothing(tmp_path: Path) -> None:
         LitUnit.load_from_checkpoint(tmp_path / "a.ckpt")
 
 
+@pytest.mark.slow
 def test_a_unit_predicts_the_views_of_the_data_module(tmp_path: Path) -> None:
     module, views = unit(), data(tmp_path, workers=1)
     predictions = quiet_trainer().predict(module, datamodule=views)

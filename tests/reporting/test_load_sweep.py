@@ -131,6 +131,7 @@ def test_the_best_on_validation_scenes_is_bold(sweep: Path) -> None:
     assert "different ground truth" in layout.note
 
 
+@pytest.mark.slow
 def test_swept_values_are_found_in_configs_without_overrides(sweep: Path) -> None:
     """As in evaluations; of two keys that vary together one is named."""
     (sweep / "multirun.yaml").unlink()

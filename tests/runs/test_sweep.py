@@ -142,6 +142,7 @@ def test_a_failed_job_stops_no_other_and_is_retried(command: Command, tmp_path: 
     assert [job.folder for job in sweep_jobs.read(sweep)] == ["0", "1"]
 
 
+@pytest.mark.slow
 def test_sweeps_of_evaluation_settings_never_train(command_in_process: Command, tmp_path: Path) -> None:
     for choice in ("+sweep=cell_width", "+sweep=registration"):
         done = command_in_process("train", *JOB, choice)
