@@ -63,7 +63,7 @@ def test_quarter_turns_are_exact(turns: int) -> None:
 def test_crop_is_that_of_the_loop(layer: np.ndarray, pose: Pose) -> None:
     assert (
         crop(layer, GRID, pose, EGO) != crop_by_loops(layer, GRID, pose, EGO)
-    ).sum() <= 1  # a tie may round either way
+    ).sum() <= 3  # ties may round either way; a pose can have more than one, of 169 cells
 
 
 @settings(max_examples=40)
