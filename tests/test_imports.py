@@ -40,12 +40,19 @@ PUBLIC = (
 """Packages and modules of imagination that plugins may import."""
 
 
-def python(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
+def python(*arguments: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
 
 
 def test_geometry_and_mapping_need_no_torch() -> None:
-    done = python(BLOCKED)
+    done = python("-c", BLOCKED)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 15
 
@@ -55,14 +62,7 @@ HEAVY = {"torch", "lightning", "timm", "matplotlib", "torchmetrics", "onnxruntim
 
 def imported_by(folder: Path, *arguments: str) -> set[str]:
     """Names of all modules that `python -m <arguments>` imports."""
-    done = subprocess.run(
-        [sys.executable, "-X", "importtime", "-m", *arguments],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    done = python("-X", "importtime", "-m", *arguments, folder=folder)
     assert done.returncode == 0, done.stderr
     assert done.stdout
     return {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if "import time:" in line}
@@ -93,14 +93,7 @@ for name in sys.argv[1:]:
 
 def test_help_imports_no_torch_and_no_plugin(example_plugin: Path, tmp_path: Path) -> None:
     """All commands in one process; the benchmark `startup` measures how fast it is."""
-    done = subprocess.run(
-        [sys.executable, "-c", HELP_OF_ALL, *commands()],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    done = python("-c", HELP_OF_ALL, *commands(), folder=tmp_path)
     assert done.returncode == 0, done.stderr
     ends = [line.split()[2:] for line in done.stdout.splitlines() if line.startswith("end of ")]
     assert [name for name, *_ in ends] == list(commands())
