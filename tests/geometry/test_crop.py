@@ -15,6 +15,12 @@ EGO = EgoGrid(RESOLUTION, 13)
 poses = st.builds(Pose, st.floats(-2, 4), st.floats(1, 6), st.floats(-7, 7))
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled_crop() -> None:
+    """Compile before the tests, so that hypothesis' deadline does not count it."""
+    crop(np.zeros(GRID.shape, np.bool_), GRID, Pose(0.0, 0.0, 0.0), EGO)
+
+
 def on_cell(row: int, column: int, theta: float) -> Pose:
     x, y = GRID.to_points(np.array([row, column]))
     return Pose(float(x), float(y), theta)
